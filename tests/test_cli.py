@@ -259,7 +259,7 @@ def test_a_flag_is_written_alike_everywhere() -> None:
 def test_sheets_of_sites(skope: Any, tmp_path: Path) -> None:
     root = make_dataset(tmp_path / "data")
     assert skope("gen", "show", root, "--sites", "site", "--out", "new") == (0, "wrote new/site.png\n", "")
-    assert skope("gen", "show", root, "--sites", "site,nowhere")[2].endswith("no image is of site 'nowhere'\n")
+    assert skope("gen", "show", root, "--sites", "site,nowhere")[2].endswith("no image of site 'nowhere'\n")
 
 
 def test_default_folders_are_named_in_one_place() -> None:

@@ -1,5 +1,5 @@
-"""Datasets in the formats of other tools, both ways: a module for each, or two.
+"""Datasets in the formats of other tools, in both directions: one or two modules per format.
 
-A writer takes a dataset folder and fills an empty one; a reader takes files of elsewhere and adds their images and
+A writer takes a dataset folder and fills an empty folder. A reader takes external files and adds their images and
 vehicles to a new dataset (see `skope.gen.formats.dataset_builder`).
 """

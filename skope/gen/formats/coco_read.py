@@ -1,7 +1,7 @@
-"""Datasets made of COCO keypoints files of any program, of CVAT's archives, and of predictions.
+"""Read datasets from COCO keypoints files of any program, from CVAT's archives, and from predictions.
 
-Keypoints are taken by name, in any order and number: what a file does not have is unlabelled (v = 0). What was guessed,
-and what cannot be right, is said.
+Keypoints are matched by name, in any order and number. Keypoints that a file does not have are unlabelled (v = 0).
+Assumptions and impossible values are reported.
 """
 
 import re
@@ -36,23 +36,26 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class Label:
-    """Keypoints of one category: where each of them goes."""
+    """Keypoints of one category, and their indices in file and scheme."""
 
     scheme: Scheme
     count: int
     columns: tuple[int, ...]
-    """In the file ..."""
+    """Indices of the keypoints in the file."""
     places: tuple[int, ...]
-    """... and in the scheme."""
+    """Indices of the same keypoints in the scheme."""
     vehicle_type: str | None
-    """The type that the category is called, where it is one of ours."""
+    """Vehicle type with the category's name; None if there is none."""
 
 
 def vehicle_categories(file: AnnotationSource, console: Console) -> dict[int, Label]:
-    """Categories that have keypoints of one of skope's schemes, by their ids.
+    """Return the categories with keypoints of one of skope's schemes, by their ids.
 
-    It is said which of their names and keypoints are not ours. Raises UserError where none is, two schemes are mixed,
-    or a file of ours names another scheme or edition than there is.
+    Unknown names and keypoints are reported.
+
+    Raises:
+        UserError: No category has such keypoints, two schemes are mixed, or a file of skope has an unknown scheme or
+            edition.
     """
     if file.ours:
         try:
@@ -72,10 +75,10 @@ def vehicle_categories(file: AnnotationSource, console: Console) -> dict[int, La
                 continue
             places = [scheme.names.index(names[i]) for i in known]
             if len(set(places)) < len(places):
-                raise UserError(f"{file.path}: category {category.get('name')!r} has a keypoint twice")
+                raise UserError(f"{file.path}: category {category.get('name')!r} has a duplicate keypoint")
             unknown = [name for name in names if name not in scheme.names]
             if unknown:
-                console.say(f"{file.path}: left out keypoints that are not of {scheme.name}: {', '.join(unknown)}")
+                console.say(f"{file.path}: left out keypoints that are not in {scheme.name}: {', '.join(unknown)}")
             if len(known) < K:
                 console.say(f"{file.path}: {len(known)} of the {K} keypoints of {scheme.name}; the rest is unlabelled")
             called = bare(category.get("name"))
@@ -92,16 +95,16 @@ def vehicle_categories(file: AnnotationSource, console: Console) -> dict[int, La
         raise UserError(f"{file.path}: categories: keypoints of two schemes")
     if len(out) > 1 and lost:
         console.warn(
-            f"{file.path}: of classes {', '.join(lost)} only `{schema.category()['name']}` is left: no vehicle type of "
-            f"ours is called so ({', '.join(schema.VEHICLE_TYPES)})"
+            f"{file.path}: classes {', '.join(lost)} become `{schema.category()['name']}`: they are not vehicle "
+            f"types of skope ({', '.join(schema.VEHICLE_TYPES)})"
         )
     return out
 
 
 def road_user_categories(file: AnnotationSource, console: Console) -> dict[int, str]:
-    """Categories without keypoints that are called as ours are, by the ids that the file gives them.
+    """Return the categories without keypoints that have names of skope's categories, by their ids in the file.
 
-    Where the file is not one of ours it is said, as somebody else's bicycles may be without whoever rides them.
+    For files of other programs this is reported, because their bicycles may exclude the rider.
     """
     out = {
         row["id"]: name
@@ -109,12 +112,15 @@ def road_user_categories(file: AnnotationSource, console: Console) -> dict[int, 
         if (name := bare(row.get("name"))) in schema.CATEGORY_NAMES[1:] and not row.get("keypoints")
     }
     if out and not file.ours:
-        console.say(f"{file.path}: taken for ours, without keypoints: {', '.join(out.values())}")
+        console.say(f"{file.path}: read as categories of skope, without keypoints: {', '.join(out.values())}")
     return out
 
 
 def _scheme_of_marks(scheme: Scheme, file: AnnotationSource) -> Scheme:
-    """The scheme in the edition that a file of ours states; people mark what they see, as today's edition does."""
+    """Return the scheme in the edition that a file of skope states, else in the current edition.
+
+    The current edition fits other files, because people mark visible points.
+    """
     if not file.ours or file.document["info"]["keypoint_scheme"] != scheme.name:
         return scheme
     try:
@@ -128,29 +134,29 @@ def bare(name: object) -> str:
 
 
 _LEAST_BOX_PX: Final = 0.005
-"""A box that is less wide or high than this has no area in a file, where pixels are rounded to 0.01."""
+"""Minimum width and height of a box, pixels. A smaller box has no area in a file, which rounds pixels to 0.01."""
 
 
 PLAIN_FIELDS: Final = ("image_id", "iscrowd", "area")
-"""Fields that mean the same in files of other programs."""
+"""Fields with the same meaning in files of other programs."""
 L = TypeVar("L", bound=Labelled)
 
 
 def vehicle_of_row(
     where: str, row: Mapping[str, Any], label: Label, image: ImportedImage, remarks: Remarks, *, ours: bool
 ) -> Annotation | None:
-    """A vehicle of an image, its box cut to it.
+    """Return a vehicle of an image, with its box cut to the image.
 
     Args:
         where: File and record, for messages.
         row: The record.
-        label: What its category's keypoints are.
-        image: Where it is.
-        remarks: Where it is noted what cannot be right.
-        ours: Whether fields beyond COCO's mean what ours do.
+        label: Keypoints of its category.
+        image: The image that contains it.
+        remarks: Collects impossible values.
+        ours: Whether fields beyond COCO's have skope's meaning.
 
     Returns:
-        None where the box has no area inside the image: nothing can be learnt or found there.
+        The vehicle; None if the box has no area inside the image, where it is useless for training and evaluation.
     """
     size = image.record.width, image.record.height
     with telling(where):
@@ -178,7 +184,7 @@ def vehicle_of_row(
 
 
 def cut_to(image: ImportedImage, label: L) -> L | None:
-    """A label with its box cut to the image; None where nothing is left of it."""
+    """Return a label with its box cut to the image; None if nothing is left of it."""
     corners = xywh_to_xyxy(label.bbox)
     cut = clip(corners, image.record.width, image.record.height)
     if min(cut[2] - cut[0], cut[3] - cut[1]) < _LEAST_BOX_PX:
@@ -189,7 +195,7 @@ def cut_to(image: ImportedImage, label: L) -> L | None:
 
 
 def box_of_row(stated: Any, points: Array, image: ImportedImage) -> Any:
-    """The box that a record states, in the picture as shown; without one the extent of its labelled keypoints."""
+    """Return the box that a record states, in the image as shown; without one, the extent of its labelled keypoints."""
     if not stated or not any(stated):
         known = points[points[:, 2] > 0, :2]
         if not len(known):
@@ -202,25 +208,25 @@ def box_of_row(stated: Any, points: Array, image: ImportedImage) -> Any:
 
 
 def _without_impossible(where: str, vehicle: Annotation, remarks: Remarks) -> Annotation:
-    """The vehicle without points that stand at 0, 0, as programs write what they do not have; doubtful ones are noted.
+    """Return the vehicle without points at 0, 0, which programs write for missing points; doubtful points are noted.
 
-    A point that is called visible far outside of its vehicle's box stays, for somebody to look at.
+    A point that is marked visible far outside its vehicle's box is kept for review.
     """
     points, outside = vehicle.keypoints, schema.far_outside(vehicle)
     if not outside.any():
         return vehicle
     unset = outside & (points[:, :2] == 0).all(axis=1)
     if unset.any():
-        remarks.add("vehicle", "with keypoints at 0, 0, far from the box: they are taken as unlabelled", where)
+        remarks.add("vehicle", "with keypoints at 0, 0, far from the box: read as unlabelled", where)
         points = np.where(unset[:, None], 0.0, points)
         vehicle = replace(vehicle, keypoints=points)
     if (outside & ~unset & (points[:, 2] == 2)).any():
-        remarks.add("vehicle", "with keypoints called visible far outside of the box: they cannot be right", where)
+        remarks.add("vehicle", "with keypoints marked visible far outside the box: check them", where)
     return vehicle
 
 
 def attributes_of(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of a record by CVAT's attributes; what is empty, or not in our lists, is not taken."""
+    """Return fields of a record from CVAT's attributes, without empty and unknown values."""
     out: dict[str, Any] = {}
     values = row.get("attributes")
     if not isinstance(values, dict):
@@ -244,18 +250,18 @@ def attributes_of(row: Mapping[str, Any]) -> dict[str, Any]:
 def road_user_of(
     where: str, row: Mapping[str, Any], category: str, image: ImportedImage, remarks: Remarks, *, ours: bool
 ) -> RoadUser | None:
-    """A road user of an image, its box cut to it.
+    """Return a road user of an image, with its box cut to the image.
 
     Args:
         where: File and record, for messages.
         row: The record.
         category: Its category.
-        image: Where it is.
-        remarks: Where it is noted what cannot be right.
-        ours: Whether fields beyond COCO's mean what ours do.
+        image: The image that contains it.
+        remarks: Collects impossible values.
+        ours: Whether fields beyond COCO's have skope's meaning.
 
     Returns:
-        None where the box has no area inside the image.
+        The road user; None if the box has no area inside the image.
     """
     with telling(where):
         fields = {name: row[name] for name in PLAIN_FIELDS if row.get(name) is not None}
@@ -287,16 +293,16 @@ def read(
         sources: Annotation files, folders or archives.
         root: Folder of the new dataset.
         form: "coco" or "cvat".
-        images: Folder that images are looked for in. Default: the folders beside the annotation files.
-        split: Split that all images go to. Default: what the names of annotation files and their folders say.
-        stored_pixels: Whether labels are in the pixels that a picture's file holds where EXIF says that it is to be
-            turned. Default: in those of the picture as shown.
+        images: Folder in which images are searched. Default: the folders beside the annotation files.
+        split: Split of all images. Default: derived from the names of annotation files and their folders.
+        stored_pixels: Whether labels are in the stored pixels of images that EXIF rotates. Default: in the pixels of
+            the image as shown.
         command: Command line for the card.
-        console: Where progress is shown, what was guessed, and what was left out.
+        console: Shows progress, assumptions, and omitted records.
 
     Raises:
-        UserError: A source cannot be read, has no keypoints of a known scheme, or another scheme or licence than the
-            others.
+        UserError: A source cannot be read or has no keypoints of a known scheme, or its scheme, categories or licence
+            differ from those of the other sources.
     """
     if images is not None and not images.is_dir():
         raise UserError(f"--images: {images}: no such folder")
@@ -315,7 +321,8 @@ def read(
                 if categories != writer.categories:
                     raise UserError(
                         f"{file.path}: categories: labels {', '.join(categories)}, the others "
-                        f"{', '.join(writer.categories)}: read them apart; whom one does not label would be background"
+                        f"{', '.join(writer.categories)}: import them separately; "
+                        "objects that one does not label would be background"
                     )
                 if scheme is not writer.scheme:
                     raise UserError(
@@ -324,9 +331,9 @@ def read(
                 _add(file, files, labels, others, importer, writer, console)
     remarks.say(console)
     if len(stated) > 1:
-        raise UserError(f"files under different licences ({'; '.join(sorted(stated))}): read them apart")
+        raise UserError(f"files under different licences ({'; '.join(sorted(stated))}): import them separately")
     rules = ["Boxes and keypoints are those of the files read; a keypoint that they do not have is unlabelled (v = 0)."]
-    assert writer is not None  # a source without an annotation file was refused
+    assert writer is not None  # a source without an annotation file was rejected
     if writer.categories != schema.VEHICLE_ALONE:
         rules.append(f"Without keypoints: {', '.join(writer.categories[1:])}.")
     finish_dataset(writer, command=command, licence=next(iter(stated)), label_rules=rules)
@@ -341,7 +348,7 @@ def _add(
     writer: FolderWriter,
     console: Console,
 ) -> None:
-    """Write the images, vehicles and other road users of an annotation file, which lies among `files`."""
+    """Write the images, vehicles and other road users of an annotation file in `files`."""
     own: dict[int, list[tuple[int, Mapping[str, Any]]]] = {row["id"]: [] for row in file.document["images"]}
     for i, row in enumerate(file.document["annotations"]):
         if row["image_id"] not in own:
@@ -358,7 +365,7 @@ def _add(
                 continue
             if label is None:
                 name = called.get(row["category_id"], "no category")
-                importer.remarks.add("annotation", f"of {name} left out, without a keypoint of ours", where)
+                importer.remarks.add("annotation", f"of {name} left out, without a keypoint of skope", where)
                 continue
             vehicle = vehicle_of_row(where, row, label, image, importer.remarks, ours=file.ours)
             if vehicle is not None:

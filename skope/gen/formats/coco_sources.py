@@ -1,5 +1,8 @@
-"""Annotation files to import and their images: which files there are, what their names say of splits and licences,
-where images lie, how they are turned, of which camera and recording they are."""
+"""Annotation files to import, and their images.
+
+The module finds the files, derives splits and licences from names, and finds the images with their orientation, camera
+and recording.
+"""
 
 import itertools
 import json
@@ -28,7 +31,7 @@ from skope.terminal.console import Console, counted
 
 _ANNOTATION_FOLDER: Final = "annotations"
 _VISIBLE_FROM: Final = 0.5
-"""A predicted keypoint of this probability counts as visible."""
+"""Minimum probability of a predicted keypoint that counts as visible."""
 _LICENCE_FILES: Final = (
     LICENCE_FILE,
     *(f"{name}{end}" for name in ("LICENSE", "LICENCE") for end in (".txt", "", ".md")),
@@ -37,27 +40,27 @@ _LICENCE_FILES: Final = (
 
 @dataclass(frozen=True)
 class AnnotationSource:
-    """One annotation file of somebody's, read, with where its images are looked for."""
+    """Annotation file of another program with the folders of its images."""
 
     path: str
-    """For messages."""
+    """Path for messages."""
     name: str
-    """Its name where its images do not say which recording they are of."""
+    """Name of the file, used if its images do not specify their recording."""
     document: Mapping[str, Any]
     split: str
     image_folders: tuple[str, ...]
-    """Places among the `Files` where its images may lie, the likeliest first; each ends in a slash or is empty."""
+    """Candidate folders of its images among the `Files`, most likely first; each ends in a slash or is empty."""
     licence: str
 
     @property
     def ours(self) -> bool:
-        """Whether fields beyond COCO's mean what ours do."""
+        """Whether fields beyond COCO's have skope's meaning."""
         info = self.document.get("info")
         return isinstance(info, dict) and "keypoint_scheme" in info
 
 
 def open_source(source: Path) -> AbstractContextManager[Files]:
-    """Files below a folder or in an archive; of an annotation file those below the folder above it."""
+    """Open the files below a folder or in an archive; for an annotation file, those below the folder above it."""
     return files_at(source.absolute().parent if _alone(source) else source)
 
 
@@ -66,15 +69,15 @@ def annotation_sources(
 ) -> Iterator[AnnotationSource]:
     """Read the annotation files of a source.
 
-    In a folder or archive they lie in `annotations/`; without one, right in it; without one there either, in the
-    folders right below.
+    In a folder or archive they are in `annotations/`. Otherwise they are directly in the folder, or in the folders
+    directly below it.
 
     Args:
         source: An annotation file, a folder or an archive.
-        files: What `open_source` gave for it.
+        files: The result of `open_source` for it.
         form: "coco" or "cvat".
-        split: Split that all of them are of; None: what their names say (see `file_name_rules.split_of`).
-        console: Where it is said what a split was taken from.
+        split: Split of all of them; None: derived from their names (see `file_name_rules.split_of`).
+        console: Reports the origin of a split.
 
     Raises:
         UserError: There is none, or one is malformed.
@@ -83,7 +86,7 @@ def annotation_sources(
         yield _predictions(source, split)
         return
     names = [source.name] if _alone(source) else _annotation_names(source, files, form)
-    # No folders above the source: what it is called is published, and must not show how the user's disk is laid out.
+    # No folders above the source: names are published, and must not show the user's folders.
     called = [] if _alone(source) else [source.resolve().with_suffix("" if source.is_file() else source.suffix).name]
     for name in names:
         where = f"{files.where}/{name}"
@@ -96,11 +99,11 @@ def annotation_sources(
                 f"{where}: {chosen!r} cannot be the name of a split: rename the file, or read it alone with --split"
             )
         if by == "folder":
-            console.say(f"{where}: split {chosen}, as its folder is called (--split gives another)")
+            console.say(f"{where}: split {chosen}, from the name of its folder (--split overrides it)")
         elif by == "default":
-            console.say(f"{where}: split {chosen}, since no name says any (--split gives another)")
+            console.say(f"{where}: split {chosen}, because no name specifies one (--split overrides it)")
         elif by and chosen != stem:
-            console.say(f"{where}: split {chosen}, as we call {stem} (--split gives another)")
+            console.say(f"{where}: split {chosen}, from the name {stem} (--split overrides it)")
         document = _parsed(where, files.find(name))
         yield AnnotationSource(
             path=where,
@@ -113,7 +116,7 @@ def annotation_sources(
 
 
 def _alone(source: Path) -> bool:
-    """Whether a source is one annotation file, whose folder may lie beside that of the images."""
+    """Return whether a source is one annotation file; its folder may be beside the folder of the images."""
     return source.suffix.lower() == ".json"
 
 
@@ -125,12 +128,15 @@ def _annotation_names(source: Path, files: Files, form: str) -> list[str]:
         if names:
             return names
     raise UserError(
-        f"{source}: has no {_ANNOTATION_FOLDER}/{start}*.json, nor such a file right in it or a folder below"
+        f"{source}: has no {_ANNOTATION_FOLDER}/{start}*.json, nor such a file directly in it or in a folder below"
     )
 
 
 def _image_folders(inside: Sequence[str], stem: str, *, alone: bool) -> tuple[str, ...]:
-    """Places where images may lie: of a subset first its own folder, since others may have images of the same names."""
+    """Return candidate folders of images.
+
+    A subset's own folder is first, since subsets may have images of equal names.
+    """
     own = "/".join(inside)
     bare = file_name_rules.bare_stem(stem)
     near = [f"images/{stem}/", f"{stem}/", f"images/{bare}/", f"{bare}/", "", "images/"]
@@ -140,7 +146,7 @@ def _image_folders(inside: Sequence[str], stem: str, *, alone: bool) -> tuple[st
 
 
 def _licence(files: Files, document: Mapping[str, Any], *, alone: bool) -> str:
-    """All licences that a file and the text beside it state."""
+    """Return all licences that a file and the text beside it state."""
     names = [f"{up}{name}" for up in ("", *(("../",) if alone else ())) for name in _LICENCE_FILES]
     found = first(files, names)
     data = found.read_bytes() if isinstance(found, Path) else found
@@ -166,7 +172,7 @@ def _parsed(where: str, content: Path | bytes | None) -> Mapping[str, Any]:
             if type(row.get(name)) is not int:
                 raise UserError(f"{where}: {key}[{i}]: {name}: expected a whole number, got {row.get(name)!r}")
         if key != "annotations" and len({row["id"] for row in rows}) < len(rows):
-            raise UserError(f"{where}: field {key}: two have the same id")
+            raise UserError(f"{where}: field {key}: duplicate id")
     for i, row in enumerate(document["images"]):
         if not isinstance(row.get("file_name"), str):
             raise UserError(f"{where}: images[{i}]: file_name: expected text, got {row.get('file_name')!r:.60}")
@@ -174,7 +180,10 @@ def _parsed(where: str, content: Path | bytes | None) -> Mapping[str, Any]:
 
 
 def _predictions(folder: Path, split: str | None) -> AnnotationSource:
-    """Results of `skope eval predict` as a COCO document; keypoints are visible from a probability of 0.5 on."""
+    """Return results of `skope eval predict` as a COCO document.
+
+    Keypoints with a probability of at least 0.5 are visible.
+    """
     frames = coco.read(folder / FRAMES_FILE)
     rows, categories = [], dict.fromkeys(frames.categories)
     for number, result in enumerate(coco.iter_all_results(folder / PREDICTIONS_FILE), start=1):
@@ -205,47 +214,48 @@ def _predictions(folder: Path, split: str | None) -> AnnotationSource:
 
 @dataclass(frozen=True)
 class ImageSource:
-    """An image of an annotation file that lies where it was looked for."""
+    """Image of an annotation file that was found."""
 
     row: Mapping[str, Any]
     where: str
     """File and record, for messages."""
     name: str
-    """With forward slashes, relative to some folder."""
+    """Name with forward slashes, relative to some folder."""
     path: str
-    """Among the `Files`."""
+    """Path among the `Files`."""
 
 
 @dataclass(frozen=True)
 class ImportedImage:
-    """An image's record in the new dataset, with what it was made of."""
+    """Record of an image in the new dataset, with its sources."""
 
     record: Image
     contents: Mapping[str, Path | bytes]
-    """Its files by their new names."""
+    """Contents of its files by their new names."""
     turned: PictureHeader | None
-    """The picture's header where labels are in the stored pixels, which are shown otherwise."""
+    """Header of the image if labels are in stored pixels that EXIF rotates; else None."""
 
 
 @dataclass
 class ImageImporter:
-    """Finds the images of annotation files, and gives them names, sites and recordings in the new dataset."""
+    """Finds the images of annotation files, and assigns names, sites and recordings in the new dataset."""
 
     given: Files | None
-    """Folder with the images, if they do not lie beside the annotations."""
+    """Folder with the images, if they are not beside the annotations."""
     stored_pixels: bool
-    """Whether labels are in the pixels of the files, before EXIF turns the picture."""
+    """Whether labels are in the stored pixels of the files, before EXIF rotates the image."""
     remarks: Remarks
     _names: set[str] = field(default_factory=set)
     _recordings: dict[tuple[str | None, str], tuple[Any, ...]] = field(default_factory=dict)
-    """Site and name of each recording, with the file and the film that it is."""
+    """Site and name of each recording, with the file and the film of the recording."""
     _splits: dict[str, str] = field(default_factory=dict)
-    """The split that each picture has gone to."""
+    """Split of each image."""
 
     def images(self, file: AnnotationSource, files: Files, console: Console) -> Iterator[tuple[int, ImportedImage]]:
-        """The images of an annotation file, which lies among `files`, each with its id there.
+        """Yield the images of an annotation file in `files`, each with its id there.
 
-        Raises UserError for an image that is nowhere or stands twice, or whose size is not that of its picture.
+        Raises:
+            UserError: An image is missing or listed twice, or its size differs from that of its file.
         """
         found = self._locate(file, files)
         places = file_name_rules.places([one.name for one in found])
@@ -265,17 +275,20 @@ class ImageImporter:
                 raise UserError(f"{where}: file_name: {self._not_found(stated, name, among)}")
             if path in taken:
                 other = "" if taken[path] == stated else f" ({path} is {taken[path]} too)"
-                raise UserError(f"{where}: file_name: {stated} stands twice{other}")
+                raise UserError(f"{where}: file_name: {stated} is a duplicate{other}")
             taken[path] = stated
             if ending != name:
-                self.remarks.add("image", "found by the end of its name", f"{stated} as {ending}")
+                self.remarks.add("image", "found by the end of the name", f"{stated} as {ending}")
             elif name != stated:
                 self.remarks.add("file name", "read as a path with forward slashes", f"{stated} as {name}")
             out.append(ImageSource(row, where, ending, path))
         return out
 
     def _looked_up(self, among: Files, file: AnnotationSource, name: str) -> tuple[str, str]:
-        """The longest end of a name that is that of a file, and the file's path; without --images the whole name."""
+        """Return the longest end of a name that matches a file, and the file's path.
+
+        Without --images the whole name.
+        """
         folders = ("",) if self.given else file.image_folders
         endings = file_name_rules.endings(name)
         for ending in endings if self.given else [e for e in endings if e == name]:
@@ -289,10 +302,10 @@ class ImageImporter:
             return f"no {stated} in {among.where}"
         if name not in file_name_rules.endings(name):
             return (
-                f"{stated!r:.80} is no path inside a folder; say with --images where the images lie: there they are "
-                "found by the ends of such names"
+                f"{stated!r:.80} is not a path inside a folder; give the folder of the images with --images, where "
+                "images are found by the ends of their names"
             )
-        return f"no {stated} in {among.where}, as itself or below images/; say with --images where images lie"
+        return f"no {stated} in {among.where}, nor below its images/; give the folder of the images with --images"
 
     def _image(self, one: ImageSource, place: Place, file: AnnotationSource, files: Files) -> ImportedImage:
         row = (
@@ -325,31 +338,33 @@ class ImageImporter:
         return ImportedImage(replace(image, file_name=name, depth_file_name=depth), contents, turned)
 
     def _checked(self, where: str, image: Image, header: PictureHeader, *, ours: bool) -> Image:
-        """The image with the size of its picture as shown, which the file states, or the one that is stored."""
+        """Return the image with the size of its file as shown; a record with a different size is kept and reported."""
         stated = image.width, image.height
         if self.stored_pixels and header.turned and ours:
-            raise UserError(f"{where}: --stored-pixels: labels of skope's own files are those of the picture as shown")
+            raise UserError(
+                f"{where}: --stored-pixels: labels of skope's own files are in the pixels of the image as shown"
+            )
         expected, other = header.shown, header.stored
         if self.stored_pixels:
             expected, other = other, expected
         if stated not in (expected, other):
-            self.remarks.add("picture", "of another size than the file says (`skope gen check` names them)", where)
+            self.remarks.add("picture", "of another size than the file states (`skope gen check` lists them)", where)
             return image
         if stated != expected:
-            kind, flag = ("shown", "without") if self.stored_pixels else ("stored, not yet turned as EXIF says", "with")
+            kind, flag = ("shown", "without") if self.stored_pixels else ("stored, before the EXIF rotation", "with")
             raise UserError(
-                f"{where}: width, height: {stated[0]}x{stated[1]} is the picture as {kind}; read the file {flag} "
-                "--stored-pixels"
+                f"{where}: width, height: {stated[0]}x{stated[1]} is the size of the image as {kind}; "
+                f"import the file {flag} --stored-pixels"
             )
         if header.turned:
-            reading = "stored, and turned with it" if self.stored_pixels else "shown (--stored-pixels: as stored)"
+            reading = "stored, and rotated with it" if self.stored_pixels else "shown (--stored-pixels: as stored)"
             self.remarks.add(
-                "picture", f"to be turned (EXIF): labels are taken as those of the picture as {reading}", where
+                "picture", f"rotated by EXIF: labels are read in the pixels of the picture as {reading}", where
             )
         return replace(image, width=header.shown[0], height=header.shown[1])
 
     def _recording(self, place: Place, file: AnnotationSource) -> str:
-        """The name of an image's recording, which no other file has: each file counts its tracks anew."""
+        """Return the name of an image's recording, unique to its file: each file numbers its tracks separately."""
         whose = file.path, place.film
         wanted = place.recording or file.name
         number, name = 1, wanted
@@ -359,7 +374,7 @@ class ImageImporter:
         return name
 
     def _free_name(self, bare: str, file: AnnotationSource) -> str:
-        """A name for an image in the dataset that none has yet."""
+        """Return an unused name for an image in the dataset."""
         number, name = 1, f"images/{bare}"
         while name in self._names:
             folder = file.split if number == 1 else f"{file.split}_{number}"
@@ -371,24 +386,24 @@ class ImageImporter:
 def _tell_places(
     file: AnnotationSource, found: Sequence[ImageSource], places: Sequence[Place], console: Console
 ) -> None:
-    """Say what file names were taken for, where the file does not say it itself."""
+    """Report the interpretation of file names, if the file does not specify it."""
     guessed = [place for one, place in zip(found, places, strict=True) if not (file.ours and one.row.get("site"))]
     sites = [*dict.fromkeys(place.site for place in guessed if place.site is not None)]
     if sites:
         shown = ", ".join(sites[:3]) + (f" and {len(sites) - 3} more" if len(sites) > 3 else "")
-        console.say(f"{file.path}: folders are taken for cameras (sites): {shown}")
+        console.say(f"{file.path}: folders are read as cameras (sites): {shown}")
     films = {place.film for place in guessed if place.film is not None}
     if films:
         frames = sum(place.film is not None for place in guessed)
         console.say(
-            f"{file.path}: {counted(frames, 'numbered image')} taken for the frames of "
+            f"{file.path}: {counted(frames, 'numbered image')} read as the frames of "
             f"{counted(len(films), 'recording')}, in the order of their numbers"
         )
 
 
 @contextmanager
 def telling(where: str) -> Iterator[None]:
-    """Name the file and the record in what is wrong with it."""
+    """Add the file and the record to error messages."""
     try:
         yield
     except KeyError as error:

@@ -1,8 +1,8 @@
-"""COCO keypoints files, and CVAT's archives of them.
+"""Write COCO keypoints files, and CVAT's archives of them.
 
-COCO: `annotations/<split>.json` beside `images/`, as in a dataset folder, with everything that we know in extra fields.
-CVAT ("COCO Keypoints 1.0"): `annotations/person_keypoints_<subset>.json`, `images/<subset>/<file name>`; what its
-labels can carry besides points are attributes, of which `track_id` is the one that its own tracks use.
+COCO: `annotations/<split>.json` beside `images/`, as in a dataset folder, with all other information in extra fields.
+CVAT ("COCO Keypoints 1.0"): `annotations/person_keypoints_<subset>.json`, `images/<subset>/<file name>`. Attributes
+contain what CVAT's labels can carry in addition to points. CVAT's own tracks use the attribute `track_id`.
 """
 
 import json
@@ -21,13 +21,13 @@ from skope.terminal.console import Console
 
 CVAT_START: Final = "person_keypoints_"
 UNSET_VALUE: Final = "-"
-"""Value of a CVAT attribute that is not set."""
+"""Value of an unset CVAT attribute."""
 CVAT_ATTRIBUTES: Final = ("track_id", "model", "vehicle_type", "color", "ignore_reason")
-"""Fields that CVAT holds as attributes."""
+"""Fields that CVAT stores as attributes."""
 
 
 def write(dataset: Dataset, out: Path, console: Console) -> None:
-    """Write a dataset's images, depth and annotation files to `out`, with hard links where the file system has them."""
+    """Write a dataset's images, depth and annotation files to `out`, with hard links if possible."""
     for split in console.bar(dataset.splits, unit="split", label="writing coco"):
         file = dataset.read(split)
         rows = []
@@ -68,14 +68,14 @@ def _cvat_row(row: dict[str, Any]) -> dict[str, Any]:
     kept = {name: row[name] for name in ("id", "image_id", "category_id", "bbox", "keypoints", "num_keypoints")}
     if row["category_id"] != schema.CATEGORY_ID:
         kept["keypoints"] = []  # a rectangle, as the label that it gets has no points
-    # Its crowds are masks without points: an ignored vehicle is an ordinary one with a reason.
+    # In CVAT, crowds are masks without points. An ignored vehicle is therefore an ordinary one with a reason.
     return {**kept, "area": float(box[2] * box[3]), "iscrowd": 0, "segmentation": [], "attributes": attributes}
 
 
 def cvat_labels(scheme: Scheme, categories: Sequence[str] = schema.VEHICLE_ALONE) -> list[dict[str, Any]]:
-    """Labels of a task for CVAT's "raw" editor.
+    """Return the labels of a task for CVAT's "raw" editor.
 
-    The vehicle's skeleton, drawn in a square of 100, with its attributes, and a rectangle for each other category.
+    They are the vehicle's skeleton, drawn in a square of 100, with its attributes, and a rectangle per other category.
     """
     side = 6
     places = [(10 + 16 * (i % side), 10 + 16 * (i // side)) for i in range(K)]

@@ -1,4 +1,4 @@
-"""Convert datasets between formats: what `skope gen convert` does."""
+"""Convert datasets between formats (`skope gen convert`)."""
 
 import itertools
 import shlex
@@ -23,14 +23,16 @@ from skope.terminal.console import Console
 
 
 def _to_folder_or_shards(dataset: Dataset, form: str, out: Path, console: Console) -> None:
-    """Write a dataset that `skope gen` made in the other of the two forms at `out`, an empty folder."""
+    """Write a dataset that `skope gen` made in the other of the two forms to `out`, an empty folder."""
     if not (dataset.root / MANIFEST_FILE).is_file():
-        raise UserError(f"{dataset.root / MANIFEST_FILE}: no such file: only what `skope gen` made can be converted")
+        raise UserError(
+            f"{dataset.root / MANIFEST_FILE}: no such file: only datasets made by `skope gen` can be converted"
+        )
     if not dataset.card.get("takes") or "parameters" not in dataset.card:
         raise UserError(f"{dataset.root / CARD_FILE}: takes, parameters: missing")
     plan = DatasetPlan.from_dict(dataset.card, dataset.root / CARD_FILE)
     if form == dataset.card.get("format"):
-        raise UserError(f"{dataset.root}: is in this format already ({form})")
+        raise UserError(f"{dataset.root}: is already in this format ({form})")
     writer = writer_of(form, out, dataset.scheme, dataset.categories)
     for name in sorted(p.name for p in (dataset.root / "recordings").glob("*.npz")):
         write_bytes(out / "recordings" / name, read_bytes(dataset.root / "recordings" / name))
@@ -39,7 +41,9 @@ def _to_folder_or_shards(dataset: Dataset, form: str, out: Path, console: Consol
     for info in console.bar(plan.recordings, unit="recording", label=f"writing {form}"):
         frames = list(islice(splits[info.split], info.frames))
         if len(frames) < info.frames:
-            raise UserError(f"{dataset.root}: {info.split}: has fewer images than its card says; see `skope gen check`")
+            raise UserError(
+                f"{dataset.root}: {info.split}: has fewer images than its card states; see `skope gen check`"
+            )
         writer.add(info.split, frames)
     writer.finish()
     parameters = replace(plan.parameters, format=form)
@@ -49,16 +53,16 @@ def _to_folder_or_shards(dataset: Dataset, form: str, out: Path, console: Consol
 
 @dataclass(frozen=True, kw_only=True)
 class ConversionOptions:
-    """Options of some formats only; None or empty where the flag is not given."""
+    """Options of single formats; None or empty if the flag is not given."""
 
     map: Path | None = None
-    """File that says what the keypoints of `--from skope3d` are."""
+    """File that maps the keypoints of `--from skope3d`."""
     images: Path | None = None
     """Folder with the images of COCO or CVAT annotation files."""
     split: str | None = None
-    """Split that everything read goes to."""
+    """Split of everything that is read."""
     stored_pixels: bool = False
-    """Whether labels of COCO or CVAT files are in pixels as stored, before EXIF turns the picture."""
+    """Whether labels of COCO or CVAT files are in stored pixels, before EXIF rotates the image."""
     keypoints: tuple[str, ...] = ()
     """Names of the keypoints to write; empty for all."""
 
@@ -70,7 +74,7 @@ _OPTION_FORMATS: Final = {
     "keypoints": ("--to yolo",),
     "split": ("--from skope3d", "--from coco", "--from cvat"),
 }
-"""The formats that each option is for."""
+"""Formats of each option."""
 
 _FORMAT_WRITERS: Final[Mapping[str, Callable[[Dataset, Path, Console], None]]] = {
     "coco": coco_write.write,
@@ -97,24 +101,24 @@ def convert_dataset(
 
     Args:
         sources: Files or folders of the format `read_as`; without it, one dataset folder.
-        out: A folder that is empty or missing; for "cvat" it may be a .zip file. It is written whole or not at all.
+        out: An empty or missing folder; for "cvat" it may be a .zip file. It is written completely or not at all.
         read_as: One of `READER_NAMES`; None for a dataset folder.
         write_as: One of `WRITER_NAMES`; None for a dataset folder.
-        options: What some formats need.
-        console: Where progress is shown.
+        options: Options of single formats.
+        console: Shows progress.
 
     Raises:
-        UserError: Formats, options and sources do not fit together, a source cannot be read, or `out` holds anything
-            else than what would be written.
+        UserError: Formats, options and sources do not match, a source cannot be read, or `out` has other content than
+            the output.
     """
     if read_as is not None:
         one_of("--from", read_as, READER_NAMES)
     if write_as is not None:
         one_of("--to", write_as, WRITER_NAMES)
     if read_as is None and write_as is None:
-        raise UserError("say --to which format, or --from which one")
+        raise UserError("expected --to or --from with a format")
     if read_as is not None and write_as == "shards":
-        raise UserError("--to shards: is for what `skope gen` made, not for what is read from other files")
+        raise UserError("--to shards: only for datasets made by `skope gen`, not for files of other programs")
     for name, formats in _OPTION_FORMATS.items():
         if getattr(options, name) and not {f"--from {read_as}", f"--to {write_as}"} & set(formats):
             raise UserError(f"--{name.replace('_', '-')} is for {', '.join(formats)}")
@@ -135,7 +139,7 @@ def convert_dataset(
                 _read(sources, Path(between), read_as, options, console)
                 try:
                     _write(dataset_at(Path(between)), write_as, folder, options, console)
-                except UserError as error:  # of a folder that the user never sees
+                except UserError as error:  # for a folder that the user never sees
                     raise UserError(str(error).replace(between, " ".join(map(str, sources)))) from None
         if archive:
             zipped(folder, whole / out.name)
@@ -143,7 +147,7 @@ def convert_dataset(
 
 
 def _read(sources: Sequence[Path], root: Path, form: str, options: ConversionOptions, console: Console) -> None:
-    # Names without folders: the card is published, and must not show how the user's disk is laid out.
+    # Names without folders: the card is published, and must not show the user's folders.
     given = {name: getattr(options, name) for name in _OPTION_FORMATS}
     flags = [(f"--{name}", Path(value).name) for name, value in given.items() if isinstance(value, str | Path)]
     names = [path.resolve().name for path in sources]

@@ -1,4 +1,4 @@
-"""Frames and card of a dataset made from other files, and helpers that all format converters share."""
+"""Frames and card of a dataset made from other files, and common helpers of the format converters."""
 
 import re
 from collections import Counter
@@ -22,10 +22,10 @@ from skope.terminal.console import Console, counted
 from skope.version import __version__
 
 LICENCE_FILE: Final = "LICENCE.txt"
-"""File of every export that holds the dataset's licence."""
+"""File with the dataset's licence in every export."""
 
 SPLIT_NAME: Final = re.compile(r"\w[\w.-]*")
-"""Names that a split may have: the name becomes that of its annotation file."""
+"""Valid names of splits: the name becomes that of the annotation file."""
 
 
 def labelled_frame(
@@ -36,14 +36,14 @@ def labelled_frame(
     sums: Mapping[str, str] | None = None,
     road_users: Iterable[RoadUser] = (),
 ) -> FrameFiles:
-    """A frame of a dataset folder under construction, whose ids its writer gives.
+    """Return a frame of a dataset folder under construction; the writer assigns the ids.
 
     Args:
-        split: Split that it goes to.
-        image: Its record, with the names that its files are to have.
+        split: Split of the frame.
+        image: Its record, with the new names of its files.
         vehicles: Its annotations.
         files: Content of its files by these names.
-        sums: Their SHA-256 as far as it is known; that of others is computed.
+        sums: Known SHA-256 sums; others are computed.
         road_users: Its labels of people on foot and on two wheels.
     """
     known = schema.CATEGORY_ID
@@ -62,7 +62,7 @@ def labelled_frame(
 
 
 def _in_memory(content: Path | bytes) -> Path | bytes:
-    """The content itself where it is a shard's member, so that it is read once."""
+    """Return the content; a shard's member is loaded to memory, so that it is read once."""
     return shards.read(content) if isinstance(content, Path) and shards.split_member(content) else content
 
 
@@ -73,13 +73,13 @@ def _sum_of(content: Path | bytes) -> str:
 def finish_dataset(
     writer: FolderWriter, *, command: str, licence: str, label_rules: Sequence[str], **more: Any
 ) -> None:
-    """Write annotation files, manifest, README and card of a dataset that was joined or imported.
+    """Write annotation files, manifest, README and card of a dataset that was merged or imported.
 
     Args:
-        writer: It was given all frames.
+        writer: Writer that has received all frames.
         command: Command line that makes this dataset, for the card.
-        licence: What the images may be used under.
-        label_rules: Sentences that say what is labelled.
+        licence: Licence of the images.
+        label_rules: Sentences that describe the labels.
         more: Further fields of the card.
 
     Raises:
@@ -105,7 +105,11 @@ def finish_dataset(
 
 
 def dataset_at(root: Path) -> Dataset:
-    """Open the dataset folder at `root`; a UserError where it has no annotations."""
+    """Open the dataset folder at `root`.
+
+    Raises:
+        UserError: It has no annotations.
+    """
     dataset = open_dataset(root)
     if not dataset.splits:
         raise UserError(f"{root}: has no annotations")
@@ -113,14 +117,14 @@ def dataset_at(root: Path) -> Dataset:
 
 
 def check_outside(out: Path, sources: Iterable[Path]) -> None:
-    """Raise a UserError where the output `out` lies inside one of the source folders, which must not change."""
+    """Raise a UserError if the output `out` is inside one of the source folders, which must not change."""
     for source in sources:
         if source.resolve() in out.resolve().parents:
-            raise UserError(f"{out}: is inside {source}, which is left as it is; choose another folder")
+            raise UserError(f"{out}: is inside {source}, which must not change; choose another folder")
 
 
 def bare_name(name: str) -> str:
-    """<site>/<frame>.<suffix> of a skope file name: without the folder `images/` or `depth/`, or the shard's path."""
+    """Return <site>/<frame>.<suffix> of a skope file name, without its top folder or the shard's path."""
     parts = PurePosixPath(name).parts
     after = max((i + 1 for i, part in enumerate(parts) if part.endswith(".tar")), default=0)
     if after:
@@ -129,30 +133,33 @@ def bare_name(name: str) -> str:
 
 
 def frame_rate(images: Sequence[Image]) -> float:
-    """Frames a second of a recording's images, from the median of their time steps; 2, as in presets, without times."""
+    """Return the frame rate of a recording's images, frames/s.
+
+    It is computed from the median of their time steps; without times it is 2, as in presets.
+    """
     times = [image.time_s for image in images if image.time_s is not None]
     steps = np.diff(times)
     return float(1 / np.median(steps)) if len(steps) and (steps > 0).all() else 2.0
 
 
 def licence_beside(folder: Path) -> str:
-    """The licence that `LICENCE_FILE` in a folder states; "not stated" where there is no such file."""
+    """Return the licence in `LICENCE_FILE` of a folder; "not stated" without that file."""
     path = folder / LICENCE_FILE
     return licences.in_text(read_bytes(path).decode(errors="replace")) if path.is_file() else licences.NOT_STATED
 
 
 class Remarks:
-    """Collects remarks while records are read one after the other."""
+    """Collects remarks on consecutive records."""
 
     def __init__(self) -> None:
         self._met: dict[tuple[str, str], tuple[int, str]] = {}
 
     def add(self, noun: str, text: str, where: str) -> None:
-        """Note that `text` holds for one more thing that `noun` names, at `where`."""
+        """Note that `text` applies to one more object named `noun`, at `where`."""
         count, first = self._met.get((noun, text), (0, where))
         self._met[noun, text] = count + 1, first
 
     def say(self, console: Console) -> None:
-        """Say all that was noted, in the order in which it was first met."""
+        """Report all remarks, in the order of their first occurrence."""
         for (noun, text), (count, where) in self._met.items():
             console.warn(f"{counted(count, noun)} {text}; first: {where}")

@@ -1,7 +1,7 @@
-"""Meaning of names in other people's files: where an image lies, which camera and recording it is of, which split.
+"""Interpretation of names in external files: path of an image, its camera and recording, its split.
 
-Nobody has agreed on such names, so that all of this is guessing by rules that docs/formats.md gives. What a rule made
-of a name is for the caller to say.
+There is no standard for such names. The rules are heuristics that docs/formats.md describes. Callers report their
+result.
 """
 
 import re
@@ -19,7 +19,7 @@ SPLIT_NAMES: Final[Mapping[str, str]] = {
     **dict.fromkeys(("val", "valid", "validation", "valset"), "val"),
     **dict.fromkeys(("test", "testing", "testset"), "test"),
 }
-"""Other programs' names of splits that have a name here."""
+"""Names of splits in other programs, with the corresponding names in skope."""
 
 _SAYS_NOTHING: Final = frozenset(
     (
@@ -29,57 +29,57 @@ _SAYS_NOTHING: Final = frozenset(
         "picture", "pictures", "png", "result", "results", "screenshot", "snapshot", "upload", "uploads",
     )
 )  # fmt: skip
-"""Names of folders, annotation files and beginnings of file names that name no camera, split or recording."""
+"""Names of folders, annotation files and file prefixes that identify no camera, split or recording."""
 
 _BEFORE_SPLIT: Final = re.compile(r"(?:person_keypoints|instances|keypoints|annotations|labels|coco)[_-]")
 YEAR_ENDING: Final = re.compile(r"[_-]?(?:19|20)\d\d")
 ROBOFLOW_ENDING: Final = re.compile(r"_(?:jpe?g|png|bmp|webp)\.rf\.\w+\Z", re.ASCII)
-"""The ending that Roboflow appends to a file's name."""
+"""Suffix that Roboflow appends to a file's name."""
 UPLOAD_PREFIX: Final = re.compile(r"\A[0-9a-f]{8}-(?=.)")
-"""The prefix that Label Studio puts before a file's name."""
+"""Prefix that Label Studio adds to a file's name."""
 NUMBERED_NAME: Final = re.compile(r"(.*?)[_ .-]*([0-9]{1,15})")
 DATED_NAME: Final = re.compile(
     r"(.*?)[_ .-]*((?:19|20)\d\d[_.-]?\d\d[_.-]?\d\d[_ T.-]*\d\d[_.h-]?\d\d(?:[_.m-]?\d\d)?)", re.ASCII
 )
-"""A name that ends in date and time: 20240501_173000, 2024-05-01T17-30-00."""
+"""Name that ends in date and time: 20240501_173000, 2024-05-01T17-30-00."""
 SKOPE_NAME: Final = re.compile(r"(.+)_([0-9]{6})")
 _RECORDING_BYTES: Final = NAME_LIMITS.name_bytes - 8
-"""Room for a number after a name that is taken."""
+"""Maximum bytes of a name before a number that makes it unique."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Place that an image was taken at, as far as its name says."""
+    """Camera and recording of an image, derived from its name."""
 
     site: str | None
-    """The camera: the nearest folder that says anything."""
+    """Camera: the nearest folder with an informative name."""
     film: tuple[str, str] | None
-    """Folder and beginning of the file's name, where several images share it and are numbered: a recording."""
+    """Folder and prefix of the file's name if several numbered images share them: a recording."""
     recording: str | None
-    """The recording's name; None where the name does not say."""
+    """Name of the recording; None if the file's name does not contain it."""
     frame: int | None
-    """The number at the end of the file's name, of an image of a recording."""
+    """Number at the end of the file's name, for an image of a recording."""
 
 
 def named_split(name: str) -> str | None:
-    """The split of ours that a name of other programs means, as in `Validation` or `instances_val2017`."""
+    """Return skope's split for a name of other programs, such as `Validation` or `instances_val2017`."""
     return SPLIT_NAMES.get(YEAR_ENDING.sub("", bare_stem(name.lower())))
 
 
 def bare_stem(stem: str) -> str:
-    """An annotation file's name without what says of which kind it is: train2017 of instances_train2017."""
+    """Return an annotation file's name without the part for its kind: train2017 for instances_train2017."""
     return _BEFORE_SPLIT.sub("", stem)
 
 
 def split_of(stem: str, folders: Sequence[str]) -> tuple[str, str]:
-    """The split that an annotation file holds.
+    """Return the split of an annotation file.
 
     Args:
         stem: Its name without suffix.
-        folders: Names of the folders that it lies in, the nearest first.
+        folders: Names of the folders above it, the nearest first.
 
     Returns:
-        The split, and what it was taken from: "name", "folder" or "default".
+        The split and its origin: "name", "folder" or "default".
     """
     known = named_split(stem)
     if known:
@@ -91,13 +91,13 @@ def split_of(stem: str, folders: Sequence[str]) -> tuple[str, str]:
 
 
 def source_name(parts: Sequence[str]) -> str:
-    """Name of a source: the last of its folders and files (without suffix) whose name says anything."""
+    """Return the name of a source: the last of its folders and files (without suffix) with an informative name."""
     telling = [part for part in parts if _telling(part) and named_split(part) is None]
     return as_name(telling[-1]) if telling else "recording"
 
 
 def slashed(name: str) -> str:
-    """A path or address as one with forward slashes: of an address the path, of a path of Windows the same one."""
+    """Return a path or the path of an address with forward slashes; Windows paths are converted."""
     if re.match(r"[A-Za-z][A-Za-z0-9+.-]+://", name):
         name = unquote(urlsplit(name).path).lstrip("/")
     name = name.replace("\\", "/")
@@ -106,14 +106,14 @@ def slashed(name: str) -> str:
 
 
 def endings(name: str) -> list[str]:
-    """The relative paths that a path of another machine may end in, the longest first."""
+    """Return the relative paths at the end of a path of another machine, the longest first."""
     parts = [part for part in name.split("/") if part not in ("", ".")]
     whole = ["/".join(parts[i:]) for i in range(len(parts))]
     return [ending for ending in whole if is_relative(ending)]
 
 
 def places(names: Sequence[str]) -> list[Place]:
-    """Places that the images of one annotation file were taken at, by all their names together.
+    """Return camera and recording of the images of one annotation file, derived from all names together.
 
     Args:
         names: File names with forward slashes.
@@ -140,13 +140,13 @@ def places(names: Sequence[str]) -> list[Place]:
 
 
 def as_name(text: str) -> str:
-    """Text that can be a site's or a recording's name: at most some 90 bytes of it, without leading dots."""
+    """Return text as a valid name of a site or recording: at most about 90 bytes, without leading dots."""
     short = text.lstrip(".").encode()[:_RECORDING_BYTES].decode(errors="ignore")
     return short or "unnamed"
 
 
 def _split(name: str) -> tuple[str, str, int | None, bool]:
-    """Folder, beginning and number of a file's name, and whether it is of our own form."""
+    """Return folder, prefix and number of a file's name, and whether it has skope's form."""
     path = PurePosixPath(name)
     stem = UPLOAD_PREFIX.sub("", ROBOFLOW_ENDING.sub("", path.stem))
     match = DATED_NAME.fullmatch(stem) or NUMBERED_NAME.fullmatch(stem)
@@ -158,6 +158,6 @@ def _split(name: str) -> tuple[str, str, int | None, bool]:
 
 
 def _telling(name: str) -> bool:
-    """Whether a name of a folder or file says which camera, split or recording it is of."""
+    """Return whether the name of a folder or file identifies a camera, split or recording."""
     bare = name.lower().strip("_-. ")
     return bool(bare) and bare not in _SAYS_NOTHING and named_split(bare) is None

@@ -1,16 +1,16 @@
-"""KITTI's object labels, with the road's plane as Rope3D and DAIR-V2X have it.
+"""KITTI's object labels, with the road's plane as in Rope3D and DAIR-V2X.
 
     <split>/image_2/000000.jpg      the image
     <split>/label_2/000000.txt      type truncated occluded alpha x1 y1 x2 y2 h w l X Y Z ry
     <split>/calib/000000.txt        P0 to P3, R0_rect, Tr_velo_to_cam, Tr_imu_to_velo
     <split>/denorm/000000.txt       a b c d: the road a x + b y + c z + d = 0 in the camera frame, its normal up
-    <split>/rotation/000000.txt     a row for each row of labels: the 3x3 rotation from box to camera axes, row by row
-    <split>/index.txt               the number of each image, and what it is called in the dataset
+    <split>/rotation/000000.txt     one row per row of labels: the 3x3 rotation from box to camera axes, row by row
+    <split>/index.txt               the number of each image, and its name in the dataset
 
-X Y Z is the middle of the box's bottom in the camera frame. A roadside camera looks down, so `ry` turns about the
-road's normal, not the camera's y axis: corners = G R_y(ry) p + (X, Y, Z), G the smallest rotation that takes the
-camera's y axis to the road's downward normal, p in KITTI's box axes (x forward, y down, z to the left). That leaves
-out a vehicle's own pitch and roll, which `rotation` keeps. Lens distortion has no place in this format.
+X Y Z is the middle of the box's bottom in the camera frame. A roadside camera points down, so `ry` turns about the
+road's normal, not the camera's y axis: corners = G R_y(ry) p + (X, Y, Z). G is the smallest rotation that takes the
+camera's y axis to the road's downward normal; p is in KITTI's box axes (x forward, y down, z to the left). `ry` leaves
+out a vehicle's own pitch and roll, which `rotation` contains. The format has no field for lens distortion.
 """
 
 from collections.abc import Sequence
@@ -33,20 +33,23 @@ KITTI_TYPES: Final = {
     "bus": "Bus", "articulated_bus": "Bus", "truck": "Truck", "articulated_truck": "Truck", "box_truck": "Truck",
     "van": "Van", "minivan": "Van", "other": "Misc",
 }  # fmt: skip
-"""Names of vehicle types in KITTI's files; every other type is a Car."""
+"""Names of vehicle types in KITTI's files; all other types are Car."""
 KITTI_RIDERS: Final = {"bicycle": "Cyclist", "motorcycle": "Motorcyclist", "pedestrian": "Pedestrian"}
-"""Names of the other categories; `Motorcyclist`, which KITTI itself lacks, is that of Rope3D and DAIR-V2X."""
+"""Names of the other categories. KITTI has no `Motorcyclist`; the name is from Rope3D and DAIR-V2X."""
 OCCLUSION_SHARES: Final = (0.1, 0.4)
-"""Shares from which a vehicle counts as partly and as largely occluded."""
+"""Minimum hidden shares of partly and largely occluded vehicles."""
 DONT_CARE: Final = "DontCare -1 -1 -10 {} -1 -1 -1 -1000 -1000 -1000 -10"
 BOX_AXES: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-"""KITTI's box axes as columns in ours: x forward, y down, z left, of x forward, y left, z up."""
+"""KITTI's box axes (x forward, y down, z left) as columns in skope's axes (x forward, y left, z up)."""
 _ROAD_NORMAL: Final = np.array([0.0, 0.0, 1.0])
 
 
 def write(dataset: Dataset, out: Path, console: Console) -> None:
-    """Write every split of a dataset to a folder of `out`; a UserError where an image has no camera or a vehicle no 3D
-    box."""
+    """Write every split of a dataset to a folder of `out`.
+
+    Raises:
+        UserError: An image has no camera, or a vehicle has no 3D box.
+    """
     distorted = 0
     for split in dataset.splits:
         file = dataset.read(split)
@@ -55,7 +58,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
         for number, image in enumerate(console.bar(file.images, unit="image", label=f"writing {split}")):
             where = f"{dataset.root}: {split}: image {image.id}"
             if image.camera is None:
-                raise UserError(f"{where}: camera: missing, and KITTI's labels are in its frame")
+                raise UserError(f"{where}: camera: missing, but KITTI's labels are in its frame")
             distorted += image.camera.distortion.model != "none"
             suffix = PurePosixPath(image.file_name).suffix
             place_file(dataset.root / image.file_name, folder / "image_2" / f"{number:06d}{suffix}")
@@ -71,17 +74,20 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
             index.append(f"{number:06d} {image.file_name}\n")
         write_text(folder / "index.txt", "".join(index))
     if distorted:
-        console.say(f"{distorted} images have a distorted lens, which KITTI's calibration cannot say")
+        console.say(f"{distorted} images have a distorted lens, which KITTI's calibration cannot express")
 
 
 def road_plane(camera: Camera) -> Array:
-    """(4,) a, b, c, d of the world's z = 0 in the camera frame; the unit normal points up, d is the camera's height."""
+    """Return a, b, c, d (4,) of the world's z = 0 in the camera frame.
+
+    The unit normal points up, d is the camera's height.
+    """
     normal = camera.T_camera_world[:3, :3] @ _ROAD_NORMAL
     return np.append(normal, -normal @ camera.T_camera_world[:3, 3])
 
 
 def levelling(plane: Array) -> Array:
-    """(3, 3) the smallest rotation that takes the y axis to the plane's downward normal."""
+    """Return the smallest rotation (3, 3) that takes the y axis to the plane's downward normal."""
     down = -plane[:3] / np.linalg.norm(plane[:3])
     y = np.array([0.0, 1.0, 0.0])
     axis, cosine = np.cross(y, down), float(y @ down)
@@ -90,7 +96,7 @@ def levelling(plane: Array) -> Array:
 
 
 def _labels(where: str, own: Sequence[Annotation | RoadUser], camera: Camera) -> tuple[list[str], list[str]]:
-    """A row of labels and one of rotations for each road user; an ignored one is a region not to care about."""
+    """Return a row of labels and a row of rotations per road user; an ignored road user becomes a DontCare region."""
     labels, rotations = [], []
     for vehicle in own:
         box_2d = " ".join(f"{v:.2f}" for v in boxes.xywh_to_xyxy(vehicle.bbox))
@@ -118,7 +124,7 @@ def _labels(where: str, own: Sequence[Annotation | RoadUser], camera: Camera) ->
 
 
 def _placed(box: Box3D, camera: Camera) -> tuple[Array, float, Array]:
-    """A box in the camera frame: the middle of its bottom, its turn about the road's normal, and its whole rotation."""
+    """Return a box in the camera frame: bottom centre, turn about the road's normal, and full rotation."""
     bottom = camera.to_camera(box.center - box.R @ [0.0, 0.0, box.size_lwh[2] / 2])
     R = camera.T_camera_world[:3, :3] @ box.R @ BOX_AXES
     ahead = levelling(road_plane(camera)).T @ R[:, 0]
@@ -131,7 +137,7 @@ def _wrapped(angle: float) -> float:
 
 def _calibration(camera: Camera) -> str:
     K = camera.K.copy()
-    K[:2, 2] -= 0.5  # this format counts the centre of a pixel as i
+    K[:2, 2] -= 0.5  # this format has the centre of pixel i at i
     P = np.column_stack([K, np.zeros(3)])
     rows = {f"P{i}": P for i in range(4)}
     rows |= {"R0_rect": np.eye(3), "Tr_velo_to_cam": np.eye(4)[:3], "Tr_imu_to_velo": np.eye(4)[:3]}

@@ -1,4 +1,4 @@
-"""Join datasets into one: what `skope gen merge` does."""
+"""Merge datasets into one (`skope gen merge`)."""
 
 import shlex
 from collections import Counter
@@ -23,14 +23,14 @@ from skope.terminal.console import Console
 def merge(sources: Sequence[Path], out: Path, console: Console, *, vehicles_alone: bool = False) -> None:
     """Write a dataset with the images of several datasets.
 
-    Images and depth are hard links where the file system allows them. Splits keep their names. A site that several
-    datasets have becomes one site for each of them, and so does a recording of an unknown site. The files of recordings
-    are left out: a joined dataset is not rendered again.
+    Images and depth are hard links if the file system supports them. Splits keep their names. A site in several
+    datasets becomes one site per dataset, and so does a recording of an unknown site. The files of recordings are left
+    out, because a merged dataset is not rendered again.
 
     Args:
         sources: Two or more dataset folders.
-        out: A folder that is empty or missing. It is written whole or not at all.
-        console: Where progress is shown.
+        out: An empty or missing folder. It is written completely or not at all.
+        console: Shows progress.
         vehicles_alone: Whether labels of people on foot and on two wheels are left out.
 
     Raises:
@@ -51,7 +51,7 @@ def merge(sources: Sequence[Path], out: Path, console: Console, *, vehicles_alon
             console.say(f"{left_out} labels of people on foot and on two wheels are left out")
         finish_dataset(
             writer,
-            # Names without folders: the card is published, and must not show how the user's disk is laid out.
+            # Names without folders: the card is published, and must not show the user's folders.
             command=shlex.join(
                 [
                     *("skope", "gen", "merge", *(dataset.root.resolve().name for dataset in datasets)),
@@ -66,11 +66,15 @@ def merge(sources: Sequence[Path], out: Path, console: Console, *, vehicles_alon
 
 
 def _opened(sources: Sequence[Path], out: Path) -> list[Dataset]:
-    """The datasets, of one keypoint scheme; a UserError where they are not different ones outside of `out`."""
+    """Return the datasets, with one keypoint scheme.
+
+    Raises:
+        UserError: Their schemes differ, a dataset is listed twice, or `out` is inside one of them.
+    """
     if len(sources) < 2:
         raise UserError(f"expected two or more datasets and a new folder, got {len(sources)} before {out}")
     if len({source.resolve() for source in sources}) < len(sources):
-        raise UserError("a dataset is named twice")
+        raise UserError("a dataset is listed twice")
     check_outside(out, sources)
     datasets = [dataset_at(source) for source in sources]
     first = datasets[0]
@@ -90,10 +94,10 @@ def _write_images(
     *,
     vehicles_alone: bool,
 ) -> tuple["_Sites", int]:
-    """Write the images of all datasets, and say which recordings are there twice.
+    """Write the images of all datasets, and report duplicate recordings.
 
     Returns:
-        The names that sites have now, and the number of labels of other road users that are left out.
+        The new names of sites, and the number of labels of other road users that are left out.
     """
     first = datasets[0]
     names, begun, taken, left_out = _Sites(), dict[str, tuple[Path, str]](), set[str](), 0
@@ -113,14 +117,12 @@ def _write_images(
             writer.add(split, _frames(dataset, split, file, images, names, sums, taken))
         names.close(dataset)
         for whose, count in twice.items():
-            console.say(
-                f"{dataset.root}: {count} recordings show the same as recordings of {whose}: they are there twice"
-            )
+            console.say(f"{dataset.root}: {count} recordings are duplicates of recordings of {whose}")
     return names, left_out
 
 
 def _source_row(dataset: Dataset, names: "_Sites") -> dict[str, Any]:
-    """Row of one of the sources in the card of the joined dataset."""
+    """Return the row of one source in the card of the merged dataset."""
     return {
         "name": dataset.root.resolve().name,
         "command": dataset.card.get("command"),
@@ -130,17 +132,19 @@ def _source_row(dataset: Dataset, names: "_Sites") -> dict[str, Any]:
 
 
 def _check_categories(where: Path, has: Sequence[str], whose: Path, wanted: Sequence[str]) -> None:
-    """Raise a UserError where a dataset labels other categories than the first one (`whose`): people that one of them
-    draws and does not label would count as background."""
+    """Raise a UserError if a dataset labels other categories than the first dataset (`whose`).
+
+    People that one dataset shows and does not label would count as background.
+    """
     if tuple(has) != tuple(wanted):
         raise UserError(
-            f"{where}: labels {', '.join(has)}, {whose} {', '.join(wanted)}: whom one of them does not label would "
-            "count as background; --vehicles-alone leaves those labels out"
+            f"{where}: labels {', '.join(has)}, {whose} labels {', '.join(wanted)}: "
+            "objects that one does not label would count as background; --vehicles-alone leaves those labels out"
         )
 
 
 class _Sites:
-    """Names of each dataset's sites in the joined dataset."""
+    """Names of each dataset's sites in the merged dataset."""
 
     def __init__(self) -> None:
         self._splits: dict[str, dict[Path, set[str]]] = {}
@@ -149,7 +153,7 @@ class _Sites:
         self._recordings: dict[str, tuple[Path, str]] = {}
 
     def check(self, dataset: Dataset, split: str, file: AnnotationFile) -> None:
-        """Name the sites of a split; a UserError for one that another dataset has in another split."""
+        """Name the sites of a split; raise a UserError for a site that another dataset has in another split."""
         own = self._named.setdefault(dataset.root, {})
         for site in dict.fromkeys(image.site for image in file.images if image.site is not None):
             uses = self._splits.setdefault(site, {})
@@ -157,7 +161,7 @@ class _Sites:
                 if whose != dataset.root and splits != {split}:
                     raise UserError(
                         f"{dataset.root}: site {site} is in split {split}, and in {', '.join(sorted(splits))} of "
-                        f"{whose}: if it is one camera, what is tested would have been learnt; if these are two, give "
+                        f"{whose}: if it is one camera, test images would be training data; if there are two, give "
                         "one of them another name"
                     )
             uses.setdefault(dataset.root, set()).add(split)
@@ -173,11 +177,11 @@ class _Sites:
         self._taken |= set(self._named[dataset.root].values())
 
     def of(self, dataset: Dataset) -> dict[str, str]:
-        """A dataset's sites: name in it to name in the joined dataset."""
+        """Return a dataset's sites: name in it to name in the merged dataset."""
         return self._named[dataset.root]
 
     def recording(self, dataset: Dataset, name: str) -> str:
-        """The name in the joined dataset of a dataset's recording of an unknown site."""
+        """Return the name of a dataset's recording of an unknown site in the merged dataset."""
         number, free = 1, name
         while self._recordings.setdefault(free, (dataset.root, name)) != (dataset.root, name):
             number += 1
@@ -186,11 +190,18 @@ class _Sites:
 
 
 def _twice(dataset: Dataset, split: str, file: AnnotationFile, begun: dict[str, tuple[Path, str]]) -> Iterator[Path]:
-    """Find recordings that another dataset has too; yields that dataset's folder for each.
+    """Find recordings that another dataset has too; yield that dataset's folder for each.
 
-    Recordings are the same when their first images with a vehicle are: empty roads may be alike by chance. `begun`
-    holds those images of the datasets before (digest to folder and split) and grows by this dataset's. Raises
-    UserError where the other dataset has the recording in another split.
+    Recordings are equal if their first images with a vehicle are; images of empty roads can be equal by chance.
+
+    Args:
+        dataset: The dataset to search.
+        split: The split to search.
+        file: Annotations of the split.
+        begun: Those images of the previous datasets (digest to folder and split); extended by this dataset's.
+
+    Raises:
+        UserError: The other dataset has the recording in another split.
     """
     own = file.by_image()
     for images in recordings(file):
@@ -204,7 +215,7 @@ def _twice(dataset: Dataset, split: str, file: AnnotationFile, begun: dict[str, 
         if of != split:
             raise UserError(
                 f"{dataset.root}: {first.file_name} is in split {split}, the same image in {of} of {whose}: "
-                "what is tested would have been learnt"
+                "test images would be training data"
             )
         yield whose
 
@@ -218,7 +229,10 @@ def _frames(
     sums: Mapping[str, str],
     taken: set[str],
 ) -> Iterator[FrameFiles]:
-    """Images of a split under free names, which become `taken`; `sums` are checksums by present names."""
+    """Yield the images of a split under free names, which are added to `taken`.
+
+    `sums` are checksums by current names.
+    """
     own, others = file.by_image(), file.road_users_by_image()
     for image in images:
         new, files = _rename(image, names, dataset, taken)
@@ -228,7 +242,7 @@ def _frames(
 
 
 def _rename(image: Image, names: _Sites, dataset: Dataset, taken: set[str]) -> tuple[Image, dict[str, str]]:
-    """An image's record with its names in the joined dataset, and the present name of each of its files by new name."""
+    """Return an image's record with its names in the merged dataset, and the current name of each file by new name."""
     site, recording = None, image.recording
     if image.site is not None:
         site = names.of(dataset)[image.site]
@@ -253,7 +267,7 @@ def _rename(image: Image, names: _Sites, dataset: Dataset, taken: set[str]) -> t
 
 
 def _fleet(datasets: Sequence[Dataset]) -> dict[str, object]:
-    """The card's field `fleet` if all datasets have one: models count as held out that are held out in all of them."""
+    """Return the card's field `fleet` if all datasets have one; a model is held out if all datasets hold it out."""
     told = [dataset.card.get("fleet") for dataset in datasets]
     if not all(isinstance(fleet, dict) and {"held_out", "substituted"} <= fleet.keys() for fleet in told):
         return {}

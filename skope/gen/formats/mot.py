@@ -1,9 +1,8 @@
 """MOTChallenge's sequences: `<split>/<site>_<recording>/` with `img1/000001.jpg`, `gt/gt.txt` and `seqinfo.ini`.
 
 A row of `gt.txt` is frame (from 1), track, left, top, width, height, whether it counts, class, visibility. Ignored
-vehicles do not count (0). The class of vehicles is 1, the one that the challenge's evaluation looks at; those of people
-on foot and on two wheels, where they are labelled, are their categories' ids, which `gt/labels.txt` names line by line
-as CVAT has it.
+vehicles do not count (0). The class of vehicles is 1, which the challenge's evaluation uses. The classes of people on
+foot and on two wheels, if labelled, are their category ids. `gt/labels.txt` lists their names line by line, as in CVAT.
 """
 
 from collections.abc import Sequence
@@ -46,7 +45,7 @@ def _row(where: str, frame: int, vehicle: Annotation | RoadUser) -> str:
         raise UserError(f"{where}: annotation {vehicle.id}: track_id: missing")
     x, y, w, h = vehicle.bbox
     visible = 1 - (vehicle.occlusion or 0.0)
-    track = vehicle.track_id + 1  # they count from 1
+    track = vehicle.track_id + 1  # MOTChallenge counts from 1
     kind = CATEGORY_ID if isinstance(vehicle, Annotation) else vehicle.category_id
     return f"{frame},{track},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{int(not vehicle.ignored)},{kind},{visible:.4f}\n"
 

@@ -1,7 +1,7 @@
-"""Datasets made of the published scenes (see `skope.gen.formats.skope3d_scenes`), and scenes made of datasets.
+"""Convert the published scenes (see `skope.gen.formats.skope3d_scenes`) to datasets, and datasets to scenes.
 
-A hidden point (visible = 0) with a place becomes v = 1, one at 0, 0 becomes v = 0. The order of the keypoints is not
-ours (scheme `skope3d`); a map by name makes `skope33` of those it names.
+A hidden point (visible = 0) with a position becomes v = 1, a point at 0, 0 becomes v = 0. The order of the keypoints
+differs from skope's (scheme `skope3d`); a map by name converts the named keypoints to `skope33`.
 """
 
 import csv
@@ -40,7 +40,7 @@ SKOPE3D_LICENCE: Final = "CC BY-NC-SA 4.0 (as its users state it)"
 SCENES_FILE: Final = "scenes.csv"
 """File beside exported archives: split, site and recording of each scene."""
 POINT_MAP_FILE: Final = "map.json"
-"""File beside exported archives: names of the keypoints that their numbers stand for."""
+"""File beside exported archives: names of the keypoints by number."""
 ARCHIVE_CORNERS: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 """(8, 3) corners of the unit box, in the order of exported archives: back before front, right before left, below before
 above."""
@@ -53,7 +53,7 @@ NO_PLACE: Final = -1.0
 
 @dataclass(frozen=True)
 class ScenePlace:
-    """Split, site and recording that a scene becomes in the dataset."""
+    """Split, site and recording of a scene in the dataset."""
 
     split: str
     site: str
@@ -68,10 +68,10 @@ def read(
     Args:
         sources: Archives, or folders with archives.
         root: Folder of the new dataset.
-        split: Split that all scenes go to. Default: what the `scenes.csv` beside them says, else "train".
-        map_file: What keypoints the archives' numbers stand for; with it the scheme is `skope33`, else `skope3d`.
+        split: Split of all scenes. Default: from the `scenes.csv` beside them, else "train".
+        map_file: Keypoint names of the archives' numbers; with it the scheme is `skope33`, else `skope3d`.
         command: Command line for the card.
-        console: Where progress is shown.
+        console: Shows progress.
 
     Raises:
         UserError: An archive or the map cannot be read, a scene occurs twice, or scenes have different licences.
@@ -85,7 +85,7 @@ def read(
             scene = scene_of(archive)
             told = _places(path.parent / SCENES_FILE)
             place = told.get(scene.name, ScenePlace("train", scene.name, "00"))
-            # Scenes that skope exported are not the published data and have a licence of their own.
+            # Scenes that skope exported are not the published data and have their own licence.
             licences.add(licence_beside(path.parent) if scene.name in told else SKOPE3D_LICENCE)
             place = replace(place, split=split) if split else place
             if (place.site, place.recording) in seen:
@@ -96,7 +96,7 @@ def read(
     if names is not None:
         rules.append(f"{len(names)} of {K} keypoints are mapped to scheme {SKOPE33.name}; the others are unlabelled.")
     if len(licences) > 1:
-        raise UserError(f"scenes under different licences ({'; '.join(sorted(licences))}): read them apart")
+        raise UserError(f"scenes under different licences ({'; '.join(sorted(licences))}): import them separately")
     finish_dataset(writer, command=command, licence=licences.pop(), label_rules=rules)
 
 
@@ -143,14 +143,15 @@ def _add_scene(
 
 
 def _pictures(scene: ArchiveScene, video: Path) -> Iterator[tuple[int, float | None, NDArray[np.uint8]]]:
-    """Annotated frames with their time and (H, W, 3) RGB pixels."""
+    """Yield annotated frames with their time and (H, W, 3) RGB pixels."""
     where, last = f"{scene.archive.path}: {scene.name}/{VIDEO_MEMBER}", max(scene.frames)
     try:
         footage = open_footage(str(video))
     except UserError:
         raise UserError(f"{where}: not a video that can be decoded") from None
     assert footage.clip is not None
-    # Whether the first frame is 0 or 1 is not documented. A last number just past the end shows that it is 1.
+    # The published data does not document whether the first frame is 0 or 1. A last number just past the end shows that
+    # it is 1.
     first = 1 if 0 not in scene.frames and last == footage.clip.count else 0
     left = sorted(scene.frames)
     for image, pixels in footage.frames():
@@ -166,7 +167,7 @@ def _pictures(scene: ArchiveScene, video: Path) -> Iterator[tuple[int, float | N
 
 
 def _annotation(vehicle: ArchiveVehicle, width: int, height: int, names: Mapping[int, int] | None) -> Annotation | None:
-    """None for a vehicle whose box lies outside the image."""
+    """Return the annotation of a vehicle; None if its box lies outside the image."""
     box = boxes.clip(vehicle.box_xyxy, width, height)
     if boxes.area(box) <= 0:
         return None
@@ -192,9 +193,14 @@ def _annotation(vehicle: ArchiveVehicle, width: int, height: int, names: Mapping
 
 
 def read_map(path: Path) -> dict[int, int]:
-    """Index in the files -> index in `skope33`, of a JSON object {"skope3d_16": "wheel_front_right", ...}.
+    """Read a map from indices in the files to indices in `skope33`.
 
-    The points that are known (`keypoints.SKOPE3D`) need not be named. A UserError names a wrong entry.
+    The file contains a JSON object {"skope3d_16": "wheel_front_right", ...}.
+
+    Known points (`keypoints.SKOPE3D`) need not be listed.
+
+    Raises:
+        UserError: An entry is wrong.
     """
     document = read_json(path)
     if not isinstance(document, dict):
@@ -204,14 +210,14 @@ def read_map(path: Path) -> dict[int, int]:
         if theirs not in PUBLISHED.names:
             raise UserError(f"{path}: {theirs!r} is not one of {PUBLISHED.names[0]} to {PUBLISHED.names[-1]}")
         if not isinstance(ours, str) or ours not in keypoints.INDEX:
-            raise UserError(f"{path}: {theirs}: {ours!r} is no keypoint of {SKOPE33.name}")
+            raise UserError(f"{path}: {theirs}: {ours!r} is not a keypoint of {SKOPE33.name}")
         index = PUBLISHED.names.index(theirs)
         if table.get(index, keypoints.INDEX[ours]) != keypoints.INDEX[ours]:
             raise UserError(f"{path}: {theirs}: is {keypoints.NAMES[table[index]]}, not {ours}")
         table[index] = keypoints.INDEX[ours]
     if len(set(table.values())) != len(table):
         twice = next(ours for ours in table.values() if list(table.values()).count(ours) > 1)
-        raise UserError(f"{path}: {keypoints.NAMES[twice]} stands for two points")
+        raise UserError(f"{path}: two points are mapped to {keypoints.NAMES[twice]}")
     return table
 
 
@@ -219,8 +225,7 @@ def read_map(path: Path) -> dict[int, int]:
 
 
 def write(dataset: Dataset, out: Path, console: Console) -> None:
-    """Write each recording of a dataset as an archive to `out`, and `SCENES_FILE` and `POINT_MAP_FILE` beside the
-    archives.
+    """Write each recording of a dataset as an archive to `out`, with `SCENES_FILE` and `POINT_MAP_FILE` beside them.
 
     Masks, depth, world coordinates, ignored vehicles and people on foot and on two wheels are left out: the layout has
     no place for them.
@@ -240,9 +245,9 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
         places.append((name, split, images[0].site or name, images[0].recording or "00"))
     write_csv(out / SCENES_FILE, ("scene", "split", "site", "recording"), places, byte_order_mark=False)
     if ignored:
-        console.say(f"{ignored} ignored vehicles are left out: this format has no place for them")
+        console.say(f"{ignored} ignored vehicles are left out: this format cannot store them")
     if others:
-        console.say(f"{others} people on foot and on two wheels are left out: this format has vehicles alone")
+        console.say(f"{others} people on foot and on two wheels are left out: this format has only vehicles")
     if dataset.scheme.name == SKOPE33.name:
         write_json(out / POINT_MAP_FILE, dict(zip(PUBLISHED.names, keypoints.NAMES, strict=True)))
 
@@ -285,7 +290,7 @@ def _tables(vehicle: Annotation, image: Image) -> dict[str, list[list[Any]]]:
 
 
 def _corners(vehicle: Annotation, image: Image) -> Array:
-    """(8, 2) pixels of the 3D box; all -1 where it is not known or reaches behind the camera."""
+    """Return the pixels (8, 2) of the 3D box; all -1 if it is unknown or extends behind the camera."""
     if vehicle.box_3d_pixels is not None:
         return vehicle.box_3d_pixels
     if vehicle.box_3d is not None and image.camera is not None:

@@ -1,12 +1,12 @@
-"""The published dataset's layout: a zip a scene, with its video and two CSV files a vehicle and frame.
+"""Layout of the published dataset: one zip per scene, with its video and two CSV files per vehicle and frame.
 
     scene_K/original.avi
     scene_K/<frame>/keypoint_<v>.csv    row 0: the crop's origin x, y; rows 1-2: the box's corners; then 33 rows x, y,
                                         visible, relative to the crop's origin; rows 0 to 2 may have a third value, 0
-                                        or -1, as a whole array written at once has
+                                        or -1, as in an array that is written at once
     scene_K/<frame>/metadata_<v>.csv    row 0: track id, model id; rows 1-8: the 3D box's corners x, y
 
-All in pixels of the image. What is wrong with a file is told with its archive, its name and the line.
+All values are in pixels of the image. Error messages name the archive, the file and the line.
 """
 
 import csv
@@ -37,32 +37,32 @@ _FRAME_NAME: Final = re.compile(r"[^/]+/(\d+)")
 
 @dataclass(frozen=True, eq=False)
 class ArchiveVehicle:
-    """One vehicle in one frame, as its files have it, in pixels of the image."""
+    """Vehicle in one frame, as in its files, in pixels of the image."""
 
     box_xyxy: Array
     points: Array
-    """(33, 3) x, y, visible."""
+    """(33, 3) x, y and visibility of the keypoints."""
     track_id: int
     model: str
     corners: Array
-    """(8, 2) of the 3D box."""
+    """(8, 2) corners of the 3D box."""
 
 
 @dataclass(frozen=True)
 class ArchiveScene:
-    """An archive's content, its vehicles unread."""
+    """Content of an archive; its vehicles are not read yet."""
 
     archive: Archive
     name: str
     frames: Mapping[int, tuple[tuple[str, str], ...]]
-    """Frame -> the names of each vehicle's keypoint and metadata file."""
+    """Frame to the names of each vehicle's keypoint and metadata file."""
 
     def vehicles(self, frame: int) -> list[ArchiveVehicle]:
         return [_vehicle(self.archive, *names) for names in self.frames[frame]]
 
 
 def archives(sources: Sequence[Path]) -> list[Path]:
-    """The archives among files and in folders, scene_2 before scene_10."""
+    """Return the archives among files and in folders, scene_2 before scene_10."""
     found = [path for source in sources for path in (source.glob("*.zip") if source.is_dir() else [source])]
     if not found:
         raise UserError(f"{', '.join(map(str, sources))}: no scene_K.zip there")
@@ -70,7 +70,11 @@ def archives(sources: Sequence[Path]) -> list[Path]:
 
 
 def scene_of(archive: Archive) -> ArchiveScene:
-    """Read the scene of an archive; a UserError says what its layout lacks."""
+    """Read the scene of an archive.
+
+    Raises:
+        UserError: A part of the layout is missing.
+    """
     found: dict[int, dict[str, dict[str, str]]] = {}
     names = set()
     for member in archive.names:
@@ -142,13 +146,13 @@ def _rows(archive: Archive, member: str, count: int) -> list[list[str]]:
 
 
 def _unfilled(row: list[str]) -> list[str]:
-    """A row of two values without the 0 or -1 that fills the third column of an array."""
+    """Return a row of two values without the 0 or -1 that fills the third column of an array."""
     return row[:2] if len(row) == 3 and FILLING_VALUE.fullmatch(row[2].strip()) else row
 
 
 def _cells(archive: Archive, member: str, rows: list[list[str]], row: int, count: int) -> list[str]:
     cells = [cell.strip() for cell in rows[row]]
-    # Tables that were written as a whole have as many cells in every row.
+    # Tables that were written as a whole have the same number of cells in every row.
     if len(cells) < count or any(cells[count:]) or not all(cells[:count]):
         raise UserError(f"{archive.path}: {member}: line {row + 1}: expected {count} values, got {','.join(cells)!r}")
     return cells[:count]

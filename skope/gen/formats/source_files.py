@@ -1,8 +1,8 @@
-"""Files to read from, in a folder or in an archive. Zip archives are of strangers: they are read with limits, and
-without letting a member's name mean anything but a name.
+"""Source files in a folder or in an archive.
 
-Names are read as their writers meant them: with backslashes, as some programs of Windows write them, and in UTF-8 where
-the flag that says so is missing. What operating systems add (`__MACOSX/`, hidden files, thumbnails) is left alone.
+Zip archives are not trusted. They are read with limits, and a member's name is only used as a name. Names are read as
+their writers meant them. They may have backslashes, as some Windows programs write them, and be in UTF-8 without the
+flag for it. Files that operating systems add (`__MACOSX/`, hidden files, thumbnails) are ignored.
 """
 
 import re
@@ -29,18 +29,18 @@ class ArchiveLimits:
     most_members: int = 2_000_000
     """Maximum number of members of an archive."""
     largest_ratio: int = 200
-    """Largest ratio of unpacked to packed size of a member larger than `free_bytes`."""
+    """Maximum ratio of unpacked to packed size of a member larger than `free_bytes`."""
     free_bytes: int = 1 << 20
-    """Bytes up to which a member is unpacked whatever its ratio."""
+    """Maximum unpacked size of a member with any ratio, bytes."""
     largest_member_bytes: int = 64 << 30
-    """Bytes of the largest member."""
+    """Maximum size of a member, bytes."""
     chunk_bytes: int = 1 << 20
-    """Bytes that are read at once."""
+    """Number of bytes per read."""
     utf8_flag: int = 0x800
     link_kind: int = 0o120000
     kind_mask: int = 0o170000
     largest_in_memory_bytes: int = 1 << 28
-    """Bytes of a file that is unpacked into memory."""
+    """Maximum size of a file that is unpacked to memory, bytes."""
 
 
 ARCHIVE_LIMITS: Final = ArchiveLimits()
@@ -49,7 +49,7 @@ _OF_SYSTEMS: Final = ("__MACOSX", "Thumbs.db", "desktop.ini")
 
 
 class Archive:
-    """A zip file whose directory was checked; members are read whole into memory or streamed to a file."""
+    """Zip file with a checked directory; members are read whole to memory or streamed to a file."""
 
     def __init__(self, path: Path, file: zipfile.ZipFile) -> None:
         self.path, self._file = path, file
@@ -70,20 +70,24 @@ class Archive:
             if name.endswith("/"):
                 self.folders.add(name.rstrip("/"))
             elif name in self._infos:
-                raise UserError(f"{path}: member {name} stands twice")
+                raise UserError(f"{path}: member {name} is a duplicate")
             else:
                 self._infos[name] = info
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the files, in the archive's order."""
+        """Return the names of the files, in the archive's order."""
         return tuple(self._infos)
 
     def __contains__(self, name: str) -> bool:
         return name in self._infos
 
     def read(self, name: str, limit: int) -> bytes:
-        """A member's bytes; a UserError when there is none, or it is broken or longer than `limit`."""
+        """Return a member's bytes.
+
+        Raises:
+            UserError: The member is missing, broken or longer than `limit`.
+        """
         return b"".join(self._chunks(name, limit))
 
     def extract(self, name: str, target: Path) -> None:
@@ -114,34 +118,38 @@ class Archive:
         if info.flag_bits & 1:
             raise UserError(f"{where}: is encrypted")
         if info.file_size > max(ARCHIVE_LIMITS.free_bytes, ARCHIVE_LIMITS.largest_ratio * info.compress_size):
-            raise UserError(f"{where}: {info.compress_size} bytes would unpack to {info.file_size}: refused")
+            raise UserError(f"{where}: {info.compress_size} bytes would unpack to {info.file_size}: rejected")
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[Archive]:
-    """An archive to read from; a UserError names the file when it is none, or one that is not to be trusted."""
+    """Open an archive for reading.
+
+    Raises:
+        UserError: The file is not an archive, or not safe to read.
+    """
     try:
         file = zipfile.ZipFile(path)
     except FileNotFoundError:
         raise UserError(f"{path}: no such file") from None
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-        kind = "a zip archive without its end, so truncated" if _begins_as_zip(path) else "not a zip archive"
+        kind = "a truncated zip archive (its end is missing)" if _begins_as_zip(path) else "not a zip archive"
         raise UserError(f"{path}: {kind} ({error})") from None
     with file:
         yield Archive(path, file)
 
 
 def _begins_as_zip(path: Path) -> bool:
-    """Whether a file begins as zip archives do."""
+    """Return whether a file begins as zip archives do."""
     with suppress(OSError), path.open("rb") as file:
         return file.read(4) == b"PK\x03\x04"
     return False
 
 
 def _member_name(info: zipfile.ZipInfo) -> str:
-    """A member's name with forward slashes; a folder's ends in one."""
+    """Return a member's name with forward slashes; a folder's name ends in one."""
     name = info.orig_filename
-    if not info.flag_bits & ARCHIVE_LIMITS.utf8_flag:  # then zipfile has taken its bytes for those of an old code page
+    if not info.flag_bits & ARCHIVE_LIMITS.utf8_flag:  # zipfile has decoded its bytes with an old code page
         with suppress(UnicodeError):
             name = name.encode("cp437").decode("utf-8")
     name = name.replace("\\", "/")
@@ -151,19 +159,19 @@ def _member_name(info: zipfile.ZipInfo) -> str:
 
 
 def _fault_of_name(name: str) -> str:
-    """Why a name is none for a file below a folder, in words."""
+    """Return why an invalid name cannot be that of a file below a folder, in words."""
     leads_out = name.startswith("/") or ".." in name.split("/") or re.match(r"[A-Za-z]:", name)
     return "leads out of the archive" if leads_out else "cannot be a file's (control characters, or too long)"
 
 
 def added_by_system(name: str) -> bool:
-    """Whether a path with forward slashes is that of a file which no person put there."""
+    """Return whether a path with forward slashes is hidden, or that of a file that an operating system added."""
     parts = [part for part in name.split("/") if part]
     return any(part.startswith(".") or part in _OF_SYSTEMS for part in parts)
 
 
 def zipped(folder: Path, target: Path) -> None:
-    """Write the files of a folder as an archive, equal files as equal bytes; pictures do not shrink any further."""
+    """Write the files of a folder as an archive; equal files give equal bytes. Images are not compressed further."""
     with replacing(target) as temporary, zipfile.ZipFile(temporary, "w") as file:
         for path in sorted(folder.rglob("*")):
             name = path.relative_to(folder).as_posix()
@@ -182,28 +190,28 @@ _LARGEST_BYTES: Final = {".json": 1 << 31}
 
 
 class Files(Protocol):
-    """Names with forward slashes, relative to where they lie.
+    """Files by name with forward slashes, relative to their folder.
 
-    A name finds the file of that name in any Unicode normal form: some systems store letters and their accents apart.
-    Hidden files, and what operating systems add, are not among them.
+    A name matches the file of that name in any Unicode normal form, because some systems store letters and accents
+    separately. Hidden files, and files that operating systems add, are left out.
     """
 
     where: Path
 
     def names(self, folder: str, suffix: str) -> list[str]:
-        """Names of the files with that suffix that lie right in a folder ("" for the first one)."""
+        """Return the names of the files with a suffix that are directly in a folder ("" for the top folder)."""
         ...
 
     def folders(self) -> list[str]:
-        """Names of the folders right below the first one."""
+        """Return the names of the folders directly below the top folder."""
         ...
 
     def has(self, name: str) -> bool:
-        """Whether there is such a file."""
+        """Return whether the file exists."""
         ...
 
     def find(self, name: str) -> Path | bytes | None:
-        """A file's path or content; None when it is not there."""
+        """Return a file's path or content; None if it does not exist."""
         ...
 
 
@@ -237,7 +245,7 @@ class InFolder:
 
 
 class InArchive:
-    """Files of a zip archive. Where all of them lie in one folder, names are relative to that."""
+    """Files of a zip archive. If all of them are in one folder, names are relative to that folder."""
 
     def __init__(self, archive: Archive) -> None:
         self.where, self._archive = archive.path, archive
@@ -272,7 +280,7 @@ def _composed(name: str) -> str:
 
 
 def _by_composed_names(folder: Path) -> dict[str, str]:
-    """Names of what lies in a folder, by their composed forms."""
+    """Return the names of the entries of a folder, by their composed forms."""
     try:
         return {_composed(path.name): path.name for path in folder.iterdir()}
     except OSError:
@@ -280,13 +288,13 @@ def _by_composed_names(folder: Path) -> dict[str, str]:
 
 
 def first(files: Files, names: Iterable[str]) -> Path | bytes | None:
-    """The first of several files that is there."""
+    """Return the first of several files that exists."""
     return next((found for name in names if (found := files.find(name)) is not None), None)
 
 
 @contextmanager
 def files_at(path: Path) -> Iterator[Files]:
-    """The files of a folder or zip archive."""
+    """Open the files of a folder or zip archive."""
     if path.is_dir():
         yield InFolder(path)
     elif path.suffix.lower() == ".zip":

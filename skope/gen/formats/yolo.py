@@ -1,9 +1,9 @@
-"""Ultralytics' pose datasets: `data.yaml`, `images/<part>/...` and `labels/<part>/...`, a text file an image.
+"""Ultralytics' pose datasets: `data.yaml`, `images/<part>/...` and `labels/<part>/...`, one text file per image.
 
-A row is `0 x y w h` and x, y, v of each keypoint, lengths as shares of the image's width and height; an image without
-a vehicle has an empty file. Of a dataset that labels people on foot and on two wheels these are classes 1 to 3, with
-v = 0 in all keypoints, since each row of this format has the same length. What is ignored has no place here: it is
-background to this format's trainers.
+A row is `0 x y w h` and x, y, v of each keypoint, with lengths as shares of the image's width and height. An image
+without a vehicle has an empty file. If a dataset labels people on foot and on two wheels, these are classes 1 to 3,
+with v = 0 in all keypoints, since all rows of this format have the same length. The format has no ignored objects: they
+are background to its trainers.
 """
 
 from collections import Counter
@@ -24,9 +24,9 @@ from skope.schema import Annotation, AnnotationFile, Image, RoadUser
 from skope.terminal.console import Console, counted
 
 VALIDATION_SHARE: Final = 0.1
-"""Share of each training recording, at its end, that becomes part `val` of a dataset without such a split."""
+"""Share of each training recording, at its end, that becomes part `val` of a dataset without that split."""
 YOLO_SUFFIXES: Final = frozenset((".bmp", ".dng", ".heic", ".jpeg", ".jpg", ".mpo", ".png", ".tif", ".tiff", ".webp"))
-"""Of the pictures that Ultralytics reads."""
+"""Suffixes of the images that Ultralytics reads."""
 YOLO_SPLITS, VAL = "train", "val"
 
 
@@ -41,35 +41,35 @@ def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -
             path = PurePosixPath(name) / _findable(bare_name(image.file_name))
             if path.suffix.lower() not in YOLO_SUFFIXES:
                 raise UserError(
-                    f"{dataset.root}: {image.file_name}: Ultralytics reads no {path.suffix or 'files without a suffix'}"
-                    f" ({', '.join(sorted(YOLO_SUFFIXES))})"
+                    f"{dataset.root}: {image.file_name}: Ultralytics does not read "
+                    f"{path.suffix or 'files without a suffix'} ({', '.join(sorted(YOLO_SUFFIXES))})"
                 )
             place_file(dataset.root / image.file_name, out / "images" / path)
             labels = out / "labels" / path.with_suffix(".txt")
             if labels.exists():
-                raise UserError(f"{dataset.root}: {image.file_name}: another image has this name but for its suffix")
+                raise UserError(f"{dataset.root}: {image.file_name}: another image has this name with another suffix")
             rows = [_row(label, image, chosen, file.categories) for label in own[image.id] if not label.ignored]
             kept += len(rows)
             ignored.update(label.ignore_reason or "others" for label in own[image.id] if label.ignored)
             write_text(labels, "".join(rows))
     flip = _flip(dataset.scheme, chosen)
     if flip is None:
-        console.say("no flip_idx: a chosen keypoint's mirror partner is not known or not chosen; fliplr stays off")
+        console.say("no flip_idx: a chosen keypoint's mirror partner is unknown or not chosen; fliplr stays off")
     several = any(len(file.categories) > 1 for file in parts.values())
     if ignored:
         ignored_noun = "ignored road user" if several else "ignored vehicle"
         reasons = ", ".join(f"{number} {reason}" for reason, number in ignored.most_common())
         console.say(
-            f"{counted(ignored.total(), ignored_noun)} beside {kept} others: background here ({reasons}), as this "
-            "format has no place for them"
+            f"{counted(ignored.total(), ignored_noun)} in addition to {kept} others: background here ({reasons}), "
+            "as this format cannot store them"
         )
     write_text(out / "data.yaml", _yaml(dataset, parts, chosen, flip))
 
 
 def _findable(name: str) -> PurePosixPath:
-    """A file's path below images/<part>/ that Ultralytics finds, with its labels.
+    """Return a file's path below images/<part>/ that Ultralytics finds, with its labels.
 
-    It looks for labels where the last `/images/` of an image's path is `/labels/`, and passes over hidden folders.
+    It searches labels where the last `/images/` of an image's path is `/labels/`, and skips hidden folders.
     """
     return PurePosixPath(*(f"{part}_" if part == "images" else part.lstrip(".") or "_" for part in name.split("/")))
 
@@ -78,18 +78,18 @@ def _indices(scheme: Scheme, names: Sequence[str]) -> list[int]:
     for name in names:
         if name not in scheme.names:
             raise UserError(
-                f"--keypoints: {name!r} is no keypoint of {scheme.name}; they are {', '.join(scheme.names)}"
+                f"--keypoints: {name!r} is not a keypoint of {scheme.name}; they are {', '.join(scheme.names)}"
             )
         if names.count(name) > 1:
-            raise UserError(f"--keypoints: {name} stands twice")
+            raise UserError(f"--keypoints: {name} is listed twice")
     return [scheme.names.index(name) for name in names] or list(range(K))
 
 
 def _parts(dataset: Dataset, console: Console) -> dict[str, AnnotationFile]:
-    """The splits; without one to validate on, some of the training recordings, or their ends, become it."""
+    """Return the splits; without a validation split, some of the training recordings, or their ends, become it."""
     parts = {split: dataset.read(split) for split in dataset.splits}
     if YOLO_SPLITS not in parts:
-        raise UserError(f"{dataset.root}: has no split {YOLO_SPLITS}, which this format cannot do without")
+        raise UserError(f"{dataset.root}: has no split {YOLO_SPLITS}, which this format requires")
     for split, file in parts.items():
         if file.categories != parts[YOLO_SPLITS].categories:
             raise UserError(
@@ -106,7 +106,7 @@ def _parts(dataset: Dataset, console: Console) -> dict[str, AnnotationFile]:
                 "generate more frames"
             )
         count = counted(len(parts[VAL].images), "image")
-        gap = f"; left out, as too alike to both: {between}" if between else ""
+        gap = f"; left out, too similar to both: {between}" if between else ""
         console.say(f"{VAL}, the end of {YOLO_SPLITS}'s recordings: {count}{gap}")
     return parts
 
@@ -124,7 +124,10 @@ def _row(label: Annotation | RoadUser, image: Image, chosen: Sequence[int], cate
 
 
 def _flip(scheme: Scheme, chosen: Sequence[int]) -> list[int] | None:
-    """Index, among the `chosen` keypoints, of each one's mirror partner."""
+    """Return the index, among the `chosen` keypoints, of each keypoint's mirror partner.
+
+    None if a partner is missing.
+    """
     if scheme.flip is None:
         return None
     partners = [scheme.flip[i] for i in chosen]

@@ -1,1 +1,1 @@
-"""Looking at datasets, vehicles, towns and the installation; nothing else imports it."""
+"""Inspection of datasets, vehicles, towns and the installation; no other package imports it."""

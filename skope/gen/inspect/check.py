@@ -1,7 +1,7 @@
-"""Does a dataset hold what it says? And repair of one that does not: broken frames are rendered again, sound files stay
-as they are, byte for byte.
+"""Check a dataset, and repair it.
 
-Checked are files and their bytes, schema, ids, motion, and each label (`skope.gen.inspect.label_checks`).
+The checks cover files and their bytes, schema, ids, motion, and each label (`skope.gen.inspect.label_checks`). A repair
+renders broken frames again; intact files keep their bytes.
 """
 
 import hashlib
@@ -41,14 +41,15 @@ from skope.types import AnyFloats
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Limits of motion from which a check reports a vehicle."""
+    """Limits of motion above which a check reports a vehicle."""
 
     acceleration_mps2: float = 10.0
-    """Acceleration that no vehicle reaches by braking or cornering, m/s^2."""
+    """Maximum acceleration of a vehicle by braking or cornering, m/s^2."""
     turn_lever_m: float = 4.0
-    """Farthest from an articulated vehicle's front axle that its velocity is measured, metres."""
+    """Maximum distance between an articulated vehicle's front axle and the point at which its velocity is measured,
+    metres."""
     speed_mps: float = 0.3
-    """Difference between two speeds that a body's rocking and the rounding of files explain, m/s."""
+    """Difference between two speeds that the rocking of a body and the rounding of files explain, m/s."""
 
 
 MOTION_LIMITS: Final = MotionLimits()
@@ -56,25 +57,26 @@ MOTION_LIMITS: Final = MotionLimits()
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong with a dataset."""
+    """One error in a dataset."""
 
     where: str
     """File, and the ids in it."""
     text: str
-    """The field, and what is wrong with it."""
+    """The field and its error."""
     image: str | None = None
-    """File name of the image that has to be rendered again to repair this; None when that would not help."""
+    """File name of the image that a repair must render again; None if that would not help."""
     stray: bool = False
-    """Whether `where` is a file that does not belong here."""
+    """Whether `where` is a file that does not belong to the dataset."""
 
     def __str__(self) -> str:
         return f"{self.where}: {self.text}"
 
 
 def check(dataset: Dataset) -> Iterator[Finding]:
-    """Check a dataset: files, checksums, and whether labels agree with each other, with depth and with physics.
+    """Check files and checksums of a dataset, and the consistency of its labels with depth and physics.
 
-    Yields what is wrong, split by split; nothing for a sound dataset.
+    Yields:
+        The errors, split by split; nothing for a sound dataset.
     """
     yield from _check_manifest(dataset)
     if not dataset.splits:
@@ -106,21 +108,22 @@ def check(dataset: Dataset) -> Iterator[Finding]:
     for key, count in counts.items():
         said = dataset.card.get("counts", {}).get(key)
         if said is not None and said != count:
-            yield Finding(CARD_FILE, f"counts.{key}: is {said}, the annotations hold {count}")
+            yield Finding(CARD_FILE, f"counts.{key}: {said}, expected {count} as in the annotations")
     told = dataset.card.get("counts", {}).get("by_category", {})
     for name, kind in itertools.product(dataset.categories[1:], ("ground_truth", "ignored")):
         said = told.get(name, {}).get(kind, 0)
         if said != others[name, kind]:
             yield Finding(
-                CARD_FILE, f"counts.by_category.{name}.{kind}: is {said}, the annotations hold {others[name, kind]}"
+                CARD_FILE,
+                f"counts.by_category.{name}.{kind}: {said}, expected {others[name, kind]} as in the annotations",
             )
 
 
 class _Seen:
-    """Finds what stands twice across splits."""
+    """Finds duplicates across splits."""
 
     def __init__(self, *, own: bool) -> None:
-        self._own = own  # its one site has recordings in several splits
+        self._own = own  # the recordings of its one site are in several splits
         self._sites: dict[str | None, list[str]] = {}
         self._images: set[int] = set()
         self._annotations: set[int] = set()
@@ -131,17 +134,17 @@ class _Seen:
         for image in file.images:
             where = f"{name}: image {image.id}"
             if image.id in self._images:
-                yield Finding(where, "id: stands in another split too", image.file_name)
+                yield Finding(where, "id: is also in another split", image.file_name)
             if image.file_name in self._files:
-                yield Finding(where, f"file_name: {image.file_name} stands twice", image.file_name)
+                yield Finding(where, f"file_name: {image.file_name} is a duplicate", image.file_name)
             self.frames.add((image.site, image.recording, image.frame_index))
             others = self._sites.setdefault(image.site, [])
             if split not in others:
                 others.append(split)
-            # Test splits may share sites, as those by condition do; what is learnt from shares none with any other.
+            # Test splits may share sites (those by condition do); a training split shares none with other splits.
             if not self._own and image.site and len(others) > 1 and "train" in others:
                 other = next(name for name in others if name != split)
-                yield Finding(where, f"site: {image.site} stands in split {other} too", image.file_name)
+                yield Finding(where, f"site: {image.site} is also in split {other}", image.file_name)
             self._files.add(image.file_name)
         self._images.update(image.id for image in file.images)
         names = {image.id: image.file_name for image in file.images}
@@ -149,17 +152,17 @@ class _Seen:
         for annotation in (*file.annotations, *file.road_users):
             where, image_name = f"{name}: annotation {annotation.id}", names[annotation.image_id]
             if annotation.id in self._annotations:
-                yield Finding(where, "id: stands in another split too", image_name)
+                yield Finding(where, "id: is also in another split", image_name)
             if annotation.track_id is not None:
                 track = annotation.image_id, annotation.track_id
                 if track in tracks:
-                    yield Finding(where, f"track_id: {track[1]} stands twice in image {track[0]}", image_name)
+                    yield Finding(where, f"track_id: {track[1]} is a duplicate in image {track[0]}", image_name)
                 tracks.add(track)
         self._annotations.update(annotation.id for annotation in (*file.annotations, *file.road_users))
 
 
 def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
-    """Check the checksums of all files, and find stray files; nothing for datasets that came without a manifest."""
+    """Check the checksums of all files, and find stray files; yield nothing for datasets without a manifest."""
     if "takes" not in dataset.card and not (dataset.root / MANIFEST_FILE).exists():
         return
     try:
@@ -173,7 +176,7 @@ def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
         image = _image_of_depth(name, sums) if name.startswith("depth/") else image
         try:
             if hashlib.sha256(shards.read(path)).hexdigest() != wanted:
-                yield Finding(name, "sha256: its bytes are not those that were written", image)
+                yield Finding(name, "sha256: the file has changed since it was written", image)
         except UserError as error:
             yield Finding(name, str(error).removeprefix(f"{path}: "), image)
     folders = ("images", "depth", "recordings", "annotations", shards.SHARD_FOLDER)
@@ -188,7 +191,8 @@ def _check_takes(dataset: Dataset, made: Container[tuple[str | None, str | None,
         lost = [frame for frame in range(frames) if (site, recording, frame) not in made]
         if lost:
             yield Finding(
-                CARD_FILE, f"takes: {site}, recording {recording}: {len(lost)} frames have no image, from {lost[0]}"
+                CARD_FILE,
+                f"takes: {site}, recording {recording}: {len(lost)} frames without an image, the first is {lost[0]}",
             )
 
 
@@ -198,7 +202,7 @@ def _image_of_depth(name: str, sums: Mapping[str, str]) -> str | None:
 
 
 def _check_totals(dataset: Dataset, name: str, split: str) -> Iterator[Finding]:
-    """Values that the reader of annotation files works out itself, and others take from the file."""
+    """Check values that the reader of annotation files computes itself, and other programs read from the file."""
     for image, annotations in rows_of(dataset, split):
         for row in annotations:
             labelled = sum(v > 0 for v in row.get("keypoints", ())[2::3])
@@ -210,7 +214,7 @@ def _check_totals(dataset: Dataset, name: str, split: str) -> Iterator[Finding]:
 
 
 def _check_motion(name: str, file: AnnotationFile) -> Iterator[Finding]:
-    """Velocities against how far a track's vehicle has come from image to image."""
+    """Compare velocities with the distance that a track's vehicle has moved from image to image."""
     images = {image.id: image for image in file.images}
     tracks: dict[tuple[Any, ...], list[tuple[float, Image, Annotation | RoadUser]]] = {}
     every: list[Annotation | RoadUser] = [*file.annotations, *file.road_users]
@@ -228,19 +232,19 @@ def _check_motion(name: str, file: AnnotationFile) -> Iterator[Finding]:
             came = (there - here) / (end - start)
             wrong = float(np.linalg.norm(came - (a.velocity + b.velocity) / 2))
             turn = abs(float(wrapped(b.box_3d.yaw - a.box_3d.yaw))) / (end - start)
-            # At most so far apart is the mean of two velocities from the mean velocity between them.
+            # Maximum difference between the mean of two velocities and the mean velocity between them.
             if wrong > MOTION_LIMITS.acceleration_mps2 * (end - start) / 4 + MOTION_LIMITS.speed_mps + turn * lever:
                 yield Finding(
                     f"{name}: annotation {b.id}",
-                    f"velocity: with annotation {a.id}'s is {wrong:.2f} m/s from how far it has come",
+                    f"velocity: the mean with annotation {a.id} is {wrong:.2f} m/s from the motion between them",
                     image.file_name,
                 )
 
 
 def _measured_place(annotation: Annotation | RoadUser) -> tuple[AnyFloats, float]:
-    """A place (3,) on a road user that moves with its velocity, and how far at most it is from where that is measured.
+    """Return a point (3,) of a road user that moves with its velocity, and the maximum distance to its measured point.
 
-    The box around both parts of an articulated vehicle grows and shrinks while it bends: its front axle is taken.
+    The box around both parts of an articulated vehicle changes while it bends, therefore its front axle is used.
     """
     assert annotation.box_3d is not None
     if isinstance(annotation, RoadUser) or annotation.articulation is None or annotation.keypoints_3d is None:
@@ -257,7 +261,7 @@ def _check_image(dataset: Dataset, image: Image, labels: Sequence[Annotation | R
         return
     if depth is not None and depth.shape != (image.height, image.width):
         found, size = f"{depth.shape[1]}x{depth.shape[0]}", f"{image.width}x{image.height}"
-        yield f"image {image.id}", f"depth_file_name: is {found} instead of {size}"
+        yield f"image {image.id}", f"depth_file_name: size {found}, expected {size}"
         depth = None
     for annotation in labels:
         where = f"image {image.id}, annotation {annotation.id}"
@@ -280,7 +284,7 @@ def _check_image(dataset: Dataset, image: Image, labels: Sequence[Annotation | R
 
 
 def _lost_splits(dataset: Dataset, findings: Sequence[Finding]) -> set[str]:
-    """Splits whose annotation file, or the manifest, is broken: none of their labels can be trusted."""
+    """Return splits with a broken annotation file, or all if the manifest is broken; their labels cannot be trusted."""
     files = {finding.where for finding in findings if finding.image is None}
     if MANIFEST_FILE in files:
         return set(dataset.splits)
@@ -288,20 +292,20 @@ def _lost_splits(dataset: Dataset, findings: Sequence[Finding]) -> set[str]:
 
 
 def repair(dataset: Dataset, findings: Sequence[Finding], start_pool: PoolFactory, console: Console) -> None:
-    """Render broken frames of a dataset again, and write all labels anew.
+    """Render broken frames of a dataset again, and write all labels again.
 
     Args:
         dataset: A dataset that `skope gen` made.
-        findings: What `check` found.
+        findings: The errors from `check`.
         start_pool: Starts the workers.
-        console: Where progress is shown.
+        console: Shows progress.
 
     Raises:
-        UserError: The dataset has another origin, or recordings are broken: these are removed, and the message names
-            the command that simulates them again.
+        UserError: The dataset has another origin, or recordings are broken. Broken recordings are removed, and the
+            message contains the command that simulates them again.
     """
     if "takes" not in dataset.card:
-        raise UserError(f"{dataset.root}: was not made by `skope gen`: there is nothing to make it again from")
+        raise UserError(f"{dataset.root}: was not made by `skope gen` and cannot be repaired")
     store = Store(dataset.root)
     with store.locked():
         plan = store.plan
@@ -315,6 +319,6 @@ def repair(dataset: Dataset, findings: Sequence[Finding], start_pool: PoolFactor
             for path in lost:
                 path.unlink(missing_ok=True)
             raise UserError(
-                f"{lost[0]}: has to be simulated again; go on with: {command(plan.parameters)} --out {store.root}"
+                f"{lost[0]}: has to be simulated again; resume with: {command(plan.parameters)} --out {store.root}"
             )
         finish_rendering(store, plan.parameters.renderer, start_pool, console)

@@ -14,7 +14,7 @@ Key = tuple[str | None, str | None, int | None]
 
 
 def differences(one: Dataset, other: Dataset) -> Iterator[str]:
-    """Lines that name what differs: parameters, frames, labels and bytes; none for equal datasets."""
+    """Yield lines with the differences in parameters, frames, labels and bytes; none for equal datasets."""
     a, b = one.card.get("parameters", {}), other.card.get("parameters", {})
     for name in sorted(a.keys() | b.keys()):
         if a.get(name) != b.get(name):
@@ -42,7 +42,7 @@ def _labels(one: Dataset, other: Dataset, split: str) -> Iterator[str]:
         both_labels += [(mine[one], theirs[one]) for one in mine.keys() & theirs.keys()]
     for name, count in odd.items():
         if count:
-            yield f"{count} of {len(common)} frames hold other {name}s"
+            yield f"{count} of {len(common)} frames have different {name}s"
     yield from _boxes(both_labels)
     pairs = [(a, b) for a, b in both_labels if isinstance(a, Annotation) and isinstance(b, Annotation)]
     if not pairs:
@@ -61,14 +61,14 @@ def _boxes(pairs: Sequence[tuple[Labelled, Labelled]]) -> Iterator[str]:
         return
     ignored = sum(a.ignore_reason != b.ignore_reason for a, b in pairs)
     if ignored:
-        yield f"{ignored} of {len(pairs)} road users are ignored in one, or for another reason"
+        yield f"{ignored} of {len(pairs)} road users are ignored in one dataset only, or for different reasons"
     boxes = np.array([np.abs(a.bbox - b.bbox).max() for a, b in pairs])
     if (boxes > 0).any():
         yield f"boxes differ by up to {boxes.max():.2f} px, {(boxes > 1).mean():.2%} of them by more than 1 px"
 
 
 def _frames(dataset: Dataset, split: str) -> dict[Key, dict[tuple[str, Any], Annotation | RoadUser]]:
-    """The labels of each frame, by category and track."""
+    """Return the labels of each frame, by category and track."""
     file = dataset.read(split)
     groups = file.labels_by_image()
     return {
@@ -85,7 +85,7 @@ def _named(key: Key) -> str:
 
 
 def _bytes(one: Dataset, other: Dataset) -> Iterator[str]:
-    """Differences between the files of two datasets, by their manifests, where both have one of the same format."""
+    """Yield differences between the files of two datasets with manifests of the same format."""
     if one.sharded != other.sharded:
         yield f"formats: {one.card.get('format')} and {other.card.get('format')}"
         return
@@ -96,4 +96,4 @@ def _bytes(one: Dataset, other: Dataset) -> Iterator[str]:
     kinds = Counter(name.split("/")[0] for name in a.keys() & b.keys() if a[name] != b[name])
     for kind, count in sorted(kinds.items()):
         total = sum(name.startswith(f"{kind}/") for name in a.keys() & b.keys())
-        yield f"{kind}: {count} of {total} files have other bytes"
+        yield f"{kind}: {count} of {total} files differ"

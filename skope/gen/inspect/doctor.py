@@ -1,4 +1,4 @@
-"""Check the installation: what is installed, what of it works, and how to mend the rest."""
+"""Check the installation: installed parts, working parts, and how to fix the others."""
 
 import platform
 import subprocess
@@ -29,14 +29,17 @@ class PartStatus:
 
 
 def examine(pictures: Path | None) -> Iterator[PartStatus]:
-    """Try every part that generation and training need; test images go to `pictures`, a folder, if given."""
+    """Try every part that generation and training need, and yield its status.
+
+    Test images go to the folder `pictures`, if given.
+    """
     yield PartStatus("Python", sys.version_info >= (3, 11), f"{platform.python_version()} on {platform.platform()}")
     yield _try("SUMO", _sumo, "reinstall libsumo; on Debian its library needs libgl1 libx11-6 libxext6 libxrender1")
     yield _try("pybullet", _pybullet, "reinstall pybullet; Python 3.11 has wheels, later ones compile it")
     recording: list[Recording] = []
     yield _try("simulation", lambda: _simulation(recording), "see SUMO and pybullet above")
     advice = {
-        "gl": "install libegl1 and libgl1-mesa-dri (Debian's names), or take --renderer pybullet",
+        "gl": "install libegl1 and libgl1-mesa-dri (Debian's names), or use --renderer pybullet",
         "pybullet": "see pybullet above",
     }
     for name, remedy in advice.items():
@@ -47,7 +50,7 @@ def examine(pictures: Path | None) -> Iterator[PartStatus]:
 def _try(part: str, test: Callable[[], str], remedy: str) -> PartStatus:
     try:
         return PartStatus(part, True, test())
-    except Exception as error:  # whatever a broken installation raises is what the user has to see
+    except Exception as error:  # the user must see any error of a broken installation
         reason = (str(error) or type(error).__name__).splitlines()[0]
         return PartStatus(part, False, f"{reason}; {remedy}")
 
@@ -86,7 +89,7 @@ def _renderer(name: str, recordings: list[Recording], pictures: Path | None) -> 
 
 
 def _empty_street() -> Recording:
-    """A recording of an empty street, to draw on machines that can render but not simulate."""
+    """Return a recording of an empty street, for machines that can render but not simulate."""
     site = next(iter(sites().values()))
     spans = ranges(site.weather, site.time_of_day, site.conditions)
     lights = RoadGraph.of(site.town).net.getTrafficLights()
@@ -128,12 +131,12 @@ print(f"{torch.__version__}, torchvision {torchvision.__version__}, {where}")
 
 
 def _torch() -> str:
-    # In a separate process, since torch crashes where Mesa's compiler was loaded before it.
+    # In a separate process, since torch crashes if Mesa's compiler was loaded before it.
     done = subprocess.run([sys.executable, "-c", TORCH_PROGRAM], capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError((done.stderr.strip().splitlines() or [f"ended with code {done.returncode}"])[-1])
     try:
         runtime = f"OpenVINO {metadata.version('openvino')}"
     except metadata.PackageNotFoundError:
-        runtime = "no OpenVINO, with which a CPU predicts four times as fast (extra openvino)"
+        runtime = "OpenVINO is missing; it makes prediction on a CPU four times as fast (extra openvino)"
     return f"{done.stdout.strip()}; {runtime}"

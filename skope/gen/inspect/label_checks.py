@@ -1,5 +1,7 @@
-"""Findings on labels, one at a time: boxes and masks of road users of any category, and keypoints of vehicles; against
-the image, each other, the camera and depth."""
+"""Checks of single labels: boxes and masks of all road users, and keypoints of vehicles.
+
+Labels are compared with the image, each other, the camera and depth.
+"""
 
 import itertools
 from collections.abc import Iterator
@@ -19,46 +21,45 @@ from skope.types import AnyFloats
 
 @dataclass(frozen=True)
 class LabelTolerances:
-    """Differences that rounding explains."""
+    """Tolerances for rounding and modelling."""
 
     box_px: float = 1.0
-    """Of boxes, pixels. Boxes and masks are of silhouettes at pixel centres."""
+    """Tolerance of boxes, pixels. Boxes and masks are of silhouettes at pixel centres."""
     distance_m: float = 0.05
-    """Of distances, metres."""
+    """Tolerance of distances, metres."""
     limbs_m: float = 0.6
-    """Arms, legs and loads reach out of the 3D box of a body at rest, metres."""
+    """Maximum reach of arms, feet and loads outside the 3D box of a body at rest, metres."""
     depth_limit_m: float = 250.0
-    """Depth up to which depth files are compared, metres. They end soon after."""
+    """Maximum depth at which depth files are compared, metres. They end soon after."""
     reprojection_px: float = 0.1
-    """Of reprojected keypoints, pixels."""
+    """Tolerance of reprojected keypoints, pixels."""
     outside_m: float = 0.35
-    """Mirrors stand out of the box, metres."""
+    """Maximum reach of mirrors outside the box, metres."""
     bend_rad: float = 0.01
-    """Difference between an articulated vehicle's angle and what its rear wheels say that rounding explains,
-    radians."""
+    """Tolerance between an articulated vehicle's angle and the angle of its rear wheels (rounding), radians."""
     sharp_px: float = 40.0
-    """Vehicles whose box is smaller than this may have points hidden by what is smaller than a pixel."""
+    """Box size below which points of a vehicle may be hidden by objects smaller than a pixel, pixels."""
     depth_doubt_m: float = 0.015
-    """Metres by which the depth file must contradict a flag before it counts: 1 cm, and what rounding takes."""
+    """Minimum contradiction between the depth file and a flag, metres: 1 cm plus rounding."""
 
 
 LABEL_TOLERANCES: Final = LabelTolerances()
 
 
 def box_findings(image: Image, label: Labelled) -> Iterator[str]:
-    """The boxes against the image's edges, and the numbers of pixels."""
+    """Check the boxes against the image's edges, and the numbers of pixels."""
     boxes = {"bbox": label.bbox, "bbox_visible": label.bbox_visible}
     for name, box in boxes.items():
         if box is not None and ((box[:2] < 0).any() or (box[:2] + box[2:] > [image.width, image.height]).any()):
-            yield f"{name}: reaches out of the image"
+            yield f"{name}: extends outside the image"
     if not label.ignored and label.bbox[2:].min() <= 0:
         yield f"bbox: has no area: width {label.bbox[2]:g}, height {label.bbox[3]:g}"
     if label.area_full is not None and label.area > label.area_full:
-        yield "area: more visible pixels than the whole silhouette has"
+        yield "area: more visible pixels than in the whole silhouette"
 
 
 def mask_findings(image: Image, label: Labelled) -> Iterator[str]:
-    """The visible pixels against `area` and `bbox_visible`."""
+    """Check the visible pixels against `area` and `bbox_visible`."""
     rle = label.segmentation
     if not isinstance(rle, dict):
         return
@@ -67,17 +68,17 @@ def mask_findings(image: Image, label: Labelled) -> Iterator[str]:
         return
     try:
         mask = coco_mask.decode({**rle, "counts": str(rle["counts"]).encode()})
-    except Exception as error:  # pycocotools raises what it likes
+    except Exception as error:  # pycocotools raises various exceptions
         yield f"segmentation.counts: cannot be decoded: {error}"
         return
     area = int(mask.sum())
     if area != round(label.area):
-        yield f"segmentation: has {area} pixels, area says {label.area:g}"
+        yield f"segmentation: {area} pixels, expected {label.area:g} from area"
     if area and label.bbox_visible is not None:
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
         tight = np.array([columns[0], rows[0], columns[-1] - columns[0] + 1, rows[-1] - rows[0] + 1])
         if np.abs(tight - label.bbox_visible).max() > LABEL_TOLERANCES.box_px:
-            yield f"bbox_visible: is {label.bbox_visible.tolist()}, the mask's is {tight.tolist()}"
+            yield f"bbox_visible: {label.bbox_visible.tolist()}, expected {tight.tolist()} from the mask"
         low, size = label.bbox[:2], label.bbox[2:]
         if (tight[:2] < low - LABEL_TOLERANCES.box_px).any() or (
             tight[:2] + tight[2:] > low + size + LABEL_TOLERANCES.box_px
@@ -86,7 +87,7 @@ def mask_findings(image: Image, label: Labelled) -> Iterator[str]:
 
 
 def box_3d_findings(camera: Camera | None, label: Labelled) -> Iterator[str]:
-    """The 3D box by itself, and its distance from the camera."""
+    """Check the 3D box, and its distance from the camera."""
     box = label.box_3d
     if box is None:
         return
@@ -97,15 +98,15 @@ def box_3d_findings(camera: Camera | None, label: Labelled) -> Iterator[str]:
         return
     turned = np.arctan2(box.R[1, 0], box.R[0, 0]) - box.yaw
     if abs(wrapped(turned)) > 1e-4:
-        yield f"box_3d.yaw: is {box.yaw:.4f}, R says {box.yaw + turned:.4f}"
+        yield f"box_3d.yaw: {box.yaw:.4f}, expected {box.yaw + turned:.4f} from R"
     if camera is not None and label.distance is not None:
         away = float(np.linalg.norm(camera.to_camera(box.center)))
         if abs(away - label.distance) > LABEL_TOLERANCES.distance_m:
-            yield f"distance: is {label.distance:.2f} m, the box's centre is {away:.2f} m away"
+            yield f"distance: {label.distance:.2f} m, but the box's centre is {away:.2f} m away"
 
 
 def depth_findings(depth: AnyFloats, camera: Camera, user: RoadUser) -> Iterator[str]:
-    """The depth of the visible pixels against the 3D box: another mask than that of this body shows another depth."""
+    """Check the depth of the visible pixels against the 3D box; the mask of another body would show another depth."""
     visible = visible_mask(user)
     if visible is None or user.box_3d is None or visible.shape != depth.shape:
         return
@@ -117,7 +118,7 @@ def depth_findings(depth: AnyFloats, camera: Camera, user: RoadUser) -> Iterator
 
 
 def wrapped(angle: Any) -> Any:
-    """An angle brought into -pi to pi, radians."""
+    """Return an angle wrapped to -pi to pi, radians."""
     return np.arctan2(np.sin(angle), np.cos(angle))
 
 
@@ -127,14 +128,14 @@ def keypoint_findings(image: Image, annotation: Annotation) -> Iterator[str]:
         yield "keypoints: a labelled point lies outside the image"
     if ((v == 0) & ((x != 0) | (y != 0))).any():
         yield "keypoints: v = 0 with coordinates"
-    # Of a point in the outermost pixels the part that holds it may lie beyond the image, and so in no box.
+    # The visible part at a point in the outermost pixels may lie outside the image, and therefore in no box.
     inner = (x >= 1) & (y >= 1) & (x < image.width - 1) & (y < image.height - 1)
     for k in np.flatnonzero(far_outside(annotation) & (v == 2) & inner):
-        yield f"keypoints: point {k} is called visible at {x[k]:g}, {y[k]:g}, far outside of its vehicle's box"
+        yield f"keypoints: point {k} is marked visible at {x[k]:g}, {y[k]:g}, far outside its vehicle's box"
 
 
 def keypoint_3d_findings(annotation: Annotation) -> Iterator[str]:
-    """The keypoints in the world against the 3D box, and an articulated vehicle's angle."""
+    """Check the keypoints in the world against the 3D box, and an articulated vehicle's angle."""
     box = annotation.box_3d
     if box is None or annotation.keypoints_3d is None:
         return
@@ -142,11 +143,11 @@ def keypoint_3d_findings(annotation: Annotation) -> Iterator[str]:
     if (np.abs(own) > box.size_lwh / 2 + LABEL_TOLERANCES.outside_m).any():
         yield "keypoints_3d: a point lies far outside box_3d"
     if annotation.articulation is not None:
-        # The trailer's rearmost axle points to its left.
+        # The direction along the trailer's rearmost axle is its left.
         right, left = annotation.keypoints_3d[list(keypoints.WHEELS[2:])]
         bend = float(wrapped(np.arctan2(*(left - right)[[1, 0]]) - np.pi / 2 - box.yaw))
         if abs(wrapped(bend - annotation.articulation)) > LABEL_TOLERANCES.bend_rad:
-            yield f"articulation: is {annotation.articulation:.4f}, the rear wheels of keypoints_3d say {bend:.4f}"
+            yield f"articulation: {annotation.articulation:.4f}, expected {bend:.4f} from the wheels of keypoints_3d"
 
 
 def projection_findings(camera: Camera, annotation: Annotation) -> Iterator[str]:
@@ -163,7 +164,10 @@ def projection_findings(camera: Camera, annotation: Annotation) -> Iterator[str]
 
 
 def _gaps(depth: AnyFloats, camera: Camera, points: AnyFloats) -> AnyFloats:
-    """Distances of points (..., 3) behind what the 3 x 3 pixels around them show (9, ...), metres; NaN outside."""
+    """Return distances of points (..., 3) behind the surfaces in the 3 x 3 pixels around them (9, ...), metres.
+
+    Points outside the image have NaN.
+    """
     pixels, _, valid = camera.project(points)
     seen = valid & camera.inside(pixels)
     at = np.floor(np.where(seen[..., None], pixels, 0.0)).astype(int)
@@ -179,16 +183,16 @@ def _gaps(depth: AnyFloats, camera: Camera, points: AnyFloats) -> AnyFloats:
 
 
 def _tested_places(annotation: Annotation) -> AnyFloats:
-    """(C, 33, 3) places where each point's visibility may have been tested.
+    """Return positions (C, 33, 3) at which each point's visibility may have been tested.
 
-    A wheel is tested at the middle of its outer face, which the annotation does not hold: half a wheel's width out
-    along an axle that may be steered.
+    A wheel is tested at the middle of its outer face, which the annotation does not contain. It is half a wheel's width
+    outwards along an axle that may be steered.
     """
     assert annotation.keypoints_3d is not None
     if annotation.box_3d is None:
         return annotation.keypoints_3d[None]
     R, bend = annotation.box_3d.R, annotation.articulation or 0.0
-    # The rear wheels of an articulated vehicle are its trailer's.
+    # The rear wheels of an articulated vehicle belong to its trailer.
     bends = np.array([[0.0], [0.0], [bend], [bend]])
     forward = np.cos(bends) * R[:, 0] + np.sin(bends) * R[:, 1]
     left = np.cos(bends) * R[:, 1] - np.sin(bends) * R[:, 0]
@@ -202,12 +206,12 @@ def _tested_places(annotation: Annotation) -> AnyFloats:
 
 
 def visibility_findings(depth: AnyFloats, camera: Camera, annotation: Annotation) -> Iterator[str]:
-    """Flags that no pixel near the point bears out.
+    """Check visibility flags that no pixel near the point confirms.
 
-    The file is rounded and has no slope, for which a point that is called visible was allowed: here the spread of the
-    pixels around it stands for that. A point that none of them hides is visible without any allowance, but what hides
-    a point of a small vehicle may be smaller than a pixel. Of a wheel at the image's edge nobody can say where it was
-    tested.
+    The depth file is rounded and has no slope. The visibility test allows for the slope; here the spread of the
+    surrounding pixels replaces it. A point that none of these pixels hides is visible without any allowance. However,
+    the object that hides a point of a small vehicle may be smaller than a pixel. For a wheel at the image's edge, the
+    tested position is unknown.
     """
     assert annotation.keypoints_3d is not None
     gaps = _gaps(depth, camera, _tested_places(annotation)).reshape(-1, keypoints.K)
@@ -230,4 +234,4 @@ def visibility_findings(depth: AnyFloats, camera: Camera, annotation: Annotation
         & (v == 1)
         & (most < VISIBILITY_TOLERANCES.point_m - LABEL_TOLERANCES.depth_doubt_m)
     ):
-        yield f"keypoints: {keypoints.NAMES[k]} has v = 1, but the depth file shows nothing before it"
+        yield f"keypoints: {keypoints.NAMES[k]} has v = 1, but the depth file shows nothing in front of it"

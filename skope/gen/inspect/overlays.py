@@ -1,4 +1,4 @@
-"""Pictures of a dataset: overlays of single images, sheets of several, and splits for the viewer."""
+"""Images of a dataset: overlays of single images, sheets of several, and splits for the viewer."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,10 +36,10 @@ def overlay(dataset: Dataset, image: Image, labels: Sequence[Annotation | RoadUs
     """Draw labels on an image.
 
     Args:
-        dataset: Where the image is.
+        dataset: Dataset of the image.
         image: Its record.
         labels: Its vehicles and other road users.
-        layers: Some of `LAYER_NAMES`; "depth" takes the place of the photograph.
+        layers: Some of `LAYER_NAMES`; "depth" replaces the photograph.
 
     Returns:
         (H, W, 3) RGB.
@@ -69,7 +69,7 @@ def overlay(dataset: Dataset, image: Image, labels: Sequence[Annotation | RoadUs
 
 
 def one_image(dataset: Dataset, number: int, layers: Sequence[str], out: Path) -> Path:
-    """Write the overlay of the image with the id `number` to the folder `out`; returns the file's path."""
+    """Write the overlay of the image with the id `number` to the folder `out`; return the file's path."""
     for split in dataset.splits:
         file = dataset.read(split)
         for image in file.images:
@@ -84,8 +84,8 @@ def sheets(dataset: Dataset, site: str | None, layers: Sequence[str], out: Path)
     """Write sheets of `SHEET_SIZE.images` overlays, evenly spread over each split, or over one site.
 
     Args:
-        dataset: Where the images are.
-        site: Name of a site; None for a sheet of each split.
+        dataset: Dataset of the images.
+        site: Name of a site; None for a sheet per split.
         layers: Some of `LAYER_NAMES`.
         out: Folder of the sheets.
 
@@ -93,7 +93,7 @@ def sheets(dataset: Dataset, site: str | None, layers: Sequence[str], out: Path)
         Paths of the sheets.
 
     Raises:
-        UserError: There is no such image.
+        UserError: No image matches.
     """
     groups: dict[str, list[tuple[Image, list[Annotation | RoadUser]]]] = {}
     for split in dataset.splits:
@@ -103,7 +103,7 @@ def sheets(dataset: Dataset, site: str | None, layers: Sequence[str], out: Path)
             if site is None or image.site == site:
                 groups.setdefault(site or split, []).append((image, own[image.id]))
     if not groups:
-        raise UserError(f"{dataset.root}: no image is of site {site!r}" if site else f"{dataset.root}: has no images")
+        raise UserError(f"{dataset.root}: no image of site {site!r}" if site else f"{dataset.root}: has no images")
     paths = []
     for name, pairs in groups.items():
         chosen = [pairs[i] for i in sorted({round(k) for k in np.linspace(0, len(pairs) - 1, SHEET_SIZE.images)})]
@@ -123,7 +123,11 @@ def _cell(pixels: Pixels, text: str) -> Pixels:
 
 
 def dataset_collection(dataset: Dataset, names: Sequence[str], console: Console) -> Collection:
-    """The named splits of a dataset, or all of them; a UserError says what is wrong with them."""
+    """Return the named splits of a dataset, or all of them.
+
+    Raises:
+        UserError: A split does not exist or cannot be read.
+    """
     wanted = tuple(dict.fromkeys(names)) or dataset.splits
     if not wanted:
         raise UserError(f"{dataset.root}: has no splits")

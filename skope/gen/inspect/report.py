@@ -1,4 +1,4 @@
-"""A page to look at a dataset: a gallery of few of its images with their filters, numbers and plots, and the card."""
+"""Report page of a dataset: a gallery of few of its images with filters, numbers, plots, and the card."""
 
 import math
 from collections import Counter
@@ -30,22 +30,22 @@ _BAND_COUNT: Final = 20
 
 @dataclass(frozen=True)
 class Spread:
-    """Ground truth of a split, as the plots show it."""
+    """Ground truth of a split for the plots."""
 
     distance_m: NDArray[np.float64]
     height_px: NDArray[np.float64]
     hidden: NDArray[np.float64]
     visible: NDArray[np.int64]
-    """(33,) of how many vehicles each keypoint is visible."""
+    """(33,) number of vehicles on which each keypoint is visible."""
     vehicles: int
     weather: Mapping[str, int]
-    """Images."""
+    """Number of images by weather."""
     types: Mapping[str, int]
-    """Vehicles."""
+    """Number of vehicles by type."""
 
 
 def spread_of(file: AnnotationFile) -> Spread:
-    """The values that the plots show, of the ground truth of a split's file."""
+    """Return the ground truth of a split's file for the plots."""
     known = [a for a in file.annotations if not a.ignored]
     visible = np.array([a.keypoints[:, 2] == 2 for a in known], dtype=np.int64).reshape(-1, keypoints.K)
     return Spread(
@@ -64,14 +64,14 @@ def _known_values(known: Sequence[Annotation], value: Callable[[Annotation], flo
 
 
 def spread_plots(spreads: Mapping[str, Spread], scheme: Scheme) -> list[str | Table]:
-    """Figures and tables, as parts of a page."""
+    """Return figures and tables, as parts of a page."""
     distance = {split: of.distance_m for split, of in spreads.items()}
     height = {split: of.height_px for split, of in spreads.items()}
     hidden = {split: of.hidden for split, of in spreads.items()}
     return [
-        *_histogram("How far vehicles are", "distance, m", distance, _axis_end(distance, 20)),
-        *_histogram("How tall their boxes are", "box height, px", height, _axis_end(height, 50)),
-        *_histogram("How much something else hides of them", "hidden share", hidden, 1.0),
+        *_histogram("Distance of vehicles", "distance, m", distance, _axis_end(distance, 20)),
+        *_histogram("Height of their boxes", "box height, px", height, _axis_end(height, 50)),
+        *_histogram("Share of them that other objects hide", "hidden share", hidden, 1.0),
         _bars("Weather", "images", [of.weather for of in spreads.values()]),
         _bars("Vehicle types", "vehicles", [of.types for of in spreads.values()]),
         _visible(list(spreads.values()), scheme),
@@ -79,13 +79,13 @@ def spread_plots(spreads: Mapping[str, Spread], scheme: Scheme) -> list[str | Ta
 
 
 def _axis_end(values: Mapping[str, NDArray[np.float64]], step: float) -> float:
-    """Upper end of an axis: a multiple of `step` that all but the largest hundredth of the values lie below."""
+    """Return the upper end of an axis: a multiple of `step` above all but the largest hundredth of the values."""
     every = np.concatenate(list(values.values()))
     return max(step, math.ceil(np.quantile(every, 0.99) / step) * step) if every.size else step
 
 
 def _histogram(title: str, unit: str, values: Mapping[str, NDArray[np.float64]], end: float) -> list[str]:
-    """Bars for each split: the share of its vehicles in each band; nothing where no split has a value."""
+    """Return bars of each split: the share of its vehicles in each band; nothing if no split has a value."""
     bands = np.linspace(0, end, _BAND_COUNT + 1)
     middles = ((bands[1:] + bands[:-1]) / 2).tolist()
     lines = [
@@ -124,7 +124,7 @@ def _visible(spreads: Sequence[Spread], scheme: Scheme) -> str:
 
 
 def spread_out(images: Sequence[Image], count: int) -> list[int]:
-    """Places of at most `count` images, rising: as many of each split's sites as of any other, evenly over time."""
+    """Return ascending indices of at most `count` images: equal numbers per site, evenly spread over time."""
     groups: dict[tuple[str | None, str | None], list[int]] = {}
     for i, image in enumerate(images):
         groups.setdefault((image.split, image.site), []).append(i)
@@ -142,7 +142,10 @@ def _time_of_image(image: Image) -> tuple[str, int]:
 
 
 def _shares_of(sizes: Sequence[int], count: int) -> list[int]:
-    """Number of each group, as even as their sizes allow; where there are fewer than groups, some have one."""
+    """Return the number of each group, as equal as their sizes allow.
+
+    If `count` is below the number of groups, some have one.
+    """
     if count < len(sizes):
         having = set(_even_places(len(sizes), count))
         return [int(k in having) for k in range(len(sizes))]
@@ -156,7 +159,7 @@ def _shares_of(sizes: Sequence[int], count: int) -> list[int]:
 
 
 def _even_places(size: int, count: int) -> list[int]:
-    """`count` of `size` places, evenly spread, each the middle of its part."""
+    """Return `count` of `size` indices, evenly spread, each the middle of its part."""
     return [(2 * k + 1) * size // (2 * count) for k in range(count)]
 
 
@@ -166,7 +169,7 @@ FILTER_TITLES: Final = {"split": "split", "site": "site", "weather": "weather", 
 
 
 def write_dataset_report(dataset: Dataset, count: int, path: Path, console: Console) -> Path:
-    """Write the page with at most `count` images to `path`, and return that; splits are read one at a time."""
+    """Write the page with at most `count` images to `path`, and return `path`; splits are read one at a time."""
     if count < 1:
         raise UserError(f"--max-images: expected a whole number from 1, got {count}")
     stats: dict[str, SplitStats] = {}
@@ -176,7 +179,7 @@ def write_dataset_report(dataset: Dataset, count: int, path: Path, console: Cons
         file = dataset.read(split)
         stats[split], spreads[split] = split_stats(dataset, file), spread_of(file)
         own = file.labels_by_image()
-        # Files of other tools leave the split to their name.
+        # Files of other tools specify the split only in their name.
         images = [replace(image, split=image.split or split) for image in file.images]
         candidates += [(images[i], own[images[i].id]) for i in spread_out(images, count)]
     if not candidates:
@@ -202,7 +205,7 @@ def _page(
             "of all."
         )
     name = dataset.root.resolve().name
-    caption = "Of ground truth; distance and height: median and quartiles"
+    caption = "Ground truth only; distance and height: median and quartiles"
     numbers = [[row.strip(), *cells] for row, cells in rows(stats)]
     return render(
         "gen/inspect/report.html",
@@ -225,7 +228,7 @@ def _page(
 
 
 def _kinds(key: str, chosen: Sequence[ShownImage]) -> Counter[str]:
-    """Number of images of each value that a filter has."""
+    """Return the number of images per value of a filter."""
     counts = Counter[str]()
     for image, labels in chosen:
         if key == "type":
@@ -236,7 +239,7 @@ def _kinds(key: str, chosen: Sequence[ShownImage]) -> Counter[str]:
 
 
 def _has(layer: str, chosen: Sequence[ShownImage]) -> bool:
-    """Whether any image has something to show on a layer."""
+    """Return whether any image has content on a layer."""
     every = [label for _, labels in chosen for label in labels]
     return {
         "boxes": True,

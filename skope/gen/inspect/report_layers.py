@@ -1,4 +1,4 @@
-"""One image of the gallery: the photograph, depth over it, and labels as layers of a drawing."""
+"""Images of the gallery: the photograph, its depth, and labels as layers of a drawing."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -27,9 +27,9 @@ LAYER_TITLES: Final = {
     "ignored": "ignored vehicles (dotted)",
 }
 SHOWN_LAYERS: Final = ("boxes", "points")
-"""Layers that are on at first."""
+"""Layers that are shown initially."""
 DEPTH_IMAGE_PX: Final = 480
-"""Pixels of the longer edge of a depth picture."""
+"""Longer edge of a depth image, pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,19 +42,23 @@ class ShownPhoto:
     """Data address of the photograph."""
     size: tuple[int, int]
     depth: str | None
-    """Data address of its depth as a picture, which is hidden until its layer is switched on."""
+    """Data address of its depth as an image, which is hidden until its layer is switched on."""
     drawing: Markup
-    """What is drawn over it."""
+    """Drawing over the photograph."""
     filters: Mapping[str, str | None]
-    """Value by which each filter knows the image."""
+    """Value of the image for each filter."""
 
 
 def shown_photo(dataset: Dataset, image: Image, labels: Sequence[Annotation | RoadUser]) -> ShownPhoto:
-    """An image with its layers; a UserError says what is wrong with one of its files."""
+    """Return an image with its layers.
+
+    Raises:
+        UserError: One of its files is missing or broken.
+    """
     try:
         photograph, metres = dataset.image(image), dataset.depth(image)
     except UserError as error:
-        raise UserError(f"{error} (skope gen check {dataset.root} finds everything that is wrong)") from None
+        raise UserError(f"{error} (skope gen check {dataset.root} lists all errors)") from None
     known = [label for label in labels if not label.ignored]
     size = (image.width, image.height)
     words = counted(sum(isinstance(label, Annotation) for label in known), "vehicle")
@@ -80,7 +84,7 @@ def shown_photo(dataset: Dataset, image: Image, labels: Sequence[Annotation | Ro
 
 
 def filter_kind(label: Annotation | RoadUser) -> str:
-    """Kind of a label, by which it is filtered: type of a vehicle, category of another road user."""
+    """Return the kind of a label for filters: the type of a vehicle, the category of another road user."""
     return (label.vehicle_type or "unknown") if isinstance(label, Annotation) else label.category
 
 
@@ -108,12 +112,12 @@ def _layers(image: Image, labels: Sequence[Annotation | RoadUser], scheme: Schem
 
 
 def _scale(label: Annotation | RoadUser, image: Image) -> float:
-    """Size at which points are drawn: small on small vehicles, where they would run together."""
+    """Return the size of points: small on small vehicles, where they would overlap."""
     return float(np.clip(label.bbox[2:].max() / 60, 0.3, image_viewer.unit(image.width)))
 
 
 def _own(label: Annotation | RoadUser, drawn: Markup, scale: float) -> Markup:
-    """The SVG group of one road user, with what is drawn of it in its colour."""
+    """Return the SVG group of one road user, with its drawing in its colour."""
     if not drawn:
         return Markup()
     return tag(
@@ -144,7 +148,7 @@ def _box_3d(image: Image, label: Annotation | RoadUser) -> Markup:
 
 
 def _mask(label: Annotation | RoadUser) -> Markup:
-    """The outline of the visible pixels, simplified by less than a pixel."""
+    """Return the outline of the visible pixels, simplified by less than a pixel."""
     inside = draw.visible_mask(label)
     if inside is None:
         return Markup()

@@ -1,4 +1,4 @@
-"""Statistics of a dataset, split by split: how many vehicles, how large, how far, how hidden."""
+"""Statistics of a dataset by split: number, size, distance and occlusion of vehicles."""
 
 import math
 from collections import Counter
@@ -19,23 +19,23 @@ from skope.schema import CATEGORY_NAMES, Annotation, AnnotationFile, Image
 from skope.terminal.console import text_table
 
 OPTIONAL_NUMBERS: Final = ("bend_deg", "road_users")
-"""Numbers that only some datasets have."""
+"""Numbers that are present in some datasets only."""
 MEASURED_IMAGES: Final = 200
-"""Number of images of a split, evenly spread, whose brightness is measured."""
+"""Number of images per split, evenly spread, for the brightness."""
 _SPLIT_COLORS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000")
-"""Colours of splits in plots: Okabe and Ito's, which colour-blind readers can tell apart."""
+"""Colours of splits in plots: those of Okabe and Ito, which colour-blind readers can distinguish."""
 _SPLIT_LINES: Final = ("solid", "dashed", "dotted", "dashdot", "solid")
-"""Line styles of splits in plots, so that no difference is one of colour alone."""
+"""Line styles of splits in plots, so that no difference depends on colour alone."""
 
 
 @dataclass(frozen=True)
 class SplitStats:
-    """Statistics of one split, of its ground truth unless a field says otherwise. Quartiles are (25%, 50%, 75%)."""
+    """Statistics of one split. They are of its ground truth unless stated otherwise. Quartiles are (25%, 50%, 75%)."""
 
     images: int
     sites: int
     vehicles: int
-    """Ground-truth boxes."""
+    """Number of ground-truth boxes."""
     ignored: int
     tracks: int
     """Number of distinct vehicles, by site, recording and track id; vehicles without a track id are not counted."""
@@ -43,21 +43,22 @@ class SplitStats:
     distance_m: tuple[float, float, float]
     box_height_px: tuple[float, float, float]
     occluded: float
-    """Mean share of the silhouette that something hides."""
+    """Mean hidden share of the silhouette."""
     crowded: float
-    """Share of the vehicles of which something hides more than a tenth."""
+    """Share of the vehicles with more than a tenth of the silhouette hidden."""
     visible_points: float
     """Mean share of the 33 keypoints that are visible."""
     brightness: float
     """Mean grey level, 0 to 255."""
     types: Mapping[str, int]
     bend_deg: tuple[float, float, float] | None = None
-    """Angle between an articulated vehicle and its trailer, whichever way; None where there is none."""
+    """Quartiles of the absolute angle between an articulated vehicle and its trailer, degrees; None without such
+    vehicles."""
     road_users: Mapping[str, "CategoryStats"] | None = None
-    """Statistics of each category without keypoints that is labelled; None where vehicles alone are."""
+    """Statistics of each labelled category without keypoints; None if only vehicles are labelled."""
 
     def to_dict(self) -> dict[str, Any]:
-        """The numbers as JSON values; null where there was nothing to count."""
+        """Return the numbers as JSON values; null if there was nothing to count."""
         values = {name: _without_nan(value) for name, value in asdict(self).items()}
         if self.road_users is not None:
             values["road_users"] = {name: one.to_dict() for name, one in self.road_users.items()}
@@ -71,15 +72,15 @@ class CategoryStats:
     ground_truth: int
     ignored: int
     tracks: int
-    """Number of distinct ones among the ground truth, by site, recording and track id."""
+    """Number of distinct road users in the ground truth, by site, recording and track id."""
     distance_m: tuple[float, float, float]
-    """Quartiles, as those of vehicles."""
+    """Quartiles of the distance, as for vehicles, metres."""
     box_height_px: tuple[float, float, float]
     occluded: float
-    """Mean share of the silhouette that something hides."""
+    """Mean hidden share of the silhouette."""
 
     def to_dict(self) -> dict[str, Any]:
-        """The numbers as JSON values."""
+        """Return the numbers as JSON values."""
         return {name: _without_nan(value) for name, value in asdict(self).items()}
 
 
@@ -90,10 +91,10 @@ def _without_nan(value: Any) -> Any:
 
 
 def split_stats(dataset: Dataset, file: AnnotationFile) -> SplitStats:
-    """Statistics of one split.
+    """Return the statistics of one split.
 
     Args:
-        dataset: For the images; at most `MEASURED_IMAGES` of them are read.
+        dataset: Dataset with the images; at most `MEASURED_IMAGES` of them are read.
         file: Annotations of the split.
     """
     known = [annotation for annotation in file.annotations if not annotation.iscrowd]
@@ -123,7 +124,7 @@ def split_stats(dataset: Dataset, file: AnnotationFile) -> SplitStats:
 def _category_stats(
     file: AnnotationFile, category: str, places: Mapping[int, tuple[str | None, str | None]]
 ) -> CategoryStats:
-    """Statistics of one category; `places` are site and recording of each image."""
+    """Return the statistics of one category; `places` has site and recording of each image."""
     every = [user for user in file.road_users if user.category == category]
     known = [user for user in every if not user.ignored]
     return CategoryStats(
@@ -163,12 +164,12 @@ def _quartiles(values: list[float]) -> tuple[float, float, float]:
 
 
 def stats_table(stats: Mapping[str, SplitStats]) -> list[str]:
-    """Lines of a table with a column for each split."""
+    """Return the lines of a table with a column per split."""
     return text_table(["", *stats], [[name, *cells] for name, cells in rows(stats)])
 
 
 def rows(stats: Mapping[str, SplitStats]) -> list[tuple[str, list[str]]]:
-    """Rows of the table of splits: names and a cell for each split."""
+    """Return the rows of the table of splits: names and a cell per split."""
     columns, types = list(stats.values()), Counter[str]()
     for column in columns:
         types.update(column.types)
@@ -187,7 +188,7 @@ def rows(stats: Mapping[str, SplitStats]) -> list[tuple[str, list[str]]]:
         "brightness, of 255": lambda s: _known(s.brightness, ".0f"),
     }
     if any(s.bend_deg for s in columns):
-        said["bend of articulated ones, deg"] = lambda s: _median(s.bend_deg) if s.bend_deg else "-"
+        said["bend of articulated vehicles, deg"] = lambda s: _median(s.bend_deg) if s.bend_deg else "-"
     return [
         *((name, [cell(s) for s in columns]) for name, cell in said.items()),
         *((f"  {kind}", [str(s.types.get(kind, 0)) for s in columns]) for kind, _ in types.most_common()),
@@ -201,7 +202,7 @@ def rows(stats: Mapping[str, SplitStats]) -> list[tuple[str, list[str]]]:
 
 
 def _rows_of(category: str, columns: Sequence[SplitStats]) -> list[tuple[str, list[str]]]:
-    """The remark on a category without keypoints."""
+    """Return the rows on a category without keypoints."""
     cells: dict[str, Callable[[CategoryStats], str]] = {
         f"{category}s": lambda s: str(s.ground_truth),
         "  ignored": lambda s: str(s.ignored),
@@ -220,12 +221,12 @@ def _median(values: tuple[float, float, float]) -> str:
 
 
 def _known(value: float, form: str) -> str:
-    """A number, or "-" where nothing was there to count: other programs' files need not say it."""
+    """Return a number, or "-" if it is not available: files of other programs need not contain it."""
     return "-" if math.isnan(value) else format(value, form)
 
 
 def plot(dataset: Dataset, out: Path) -> Path:
-    """Draw distributions of every split into `out`/stats.png: distance, size, occlusion, keypoints, weather, types."""
+    """Draw distributions of every split to `out`/stats.png: distance, size, occlusion, keypoints, weather, types."""
     from matplotlib.figure import Figure
 
     files = {split: dataset.read(split) for split in dataset.splits}
@@ -252,7 +253,7 @@ def plot(dataset: Dataset, out: Path) -> Path:
     seen = np.array([a.keypoints[:, 2] == 2 for annotations in known.values() for a in annotations]).reshape(-1, K)
     axes[1, 1].bar(range(K), seen.mean(axis=0) if len(seen) else np.zeros(K), color=_SPLIT_COLORS[0])
     axes[1, 1].set(
-        xlabel="keypoint", ylabel="share of vehicles where it is visible", xticks=range(0, K, 2), ylim=(0, 1)
+        xlabel="keypoint", ylabel="share of vehicles on which it is visible", xticks=range(0, K, 2), ylim=(0, 1)
     )
     weather = Counter(image.weather or "unknown" for file in files.values() for image in file.images)
     types = Counter(a.vehicle_type or "unknown" for annotations in known.values() for a in annotations)

@@ -1,5 +1,7 @@
-"""Pictures of towns: the plan with roads, buildings, trees and its cameras; and a network's lanes drawn over what a
-site's camera sees, which shows at a glance whether they belong together."""
+"""Maps of towns, and a network's lanes drawn over the image of a site's camera.
+
+A map shows the plan with roads, buildings, trees and its cameras. The lanes show whether network and camera match.
+"""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -24,19 +26,19 @@ class TownMapStyle:
     """Appearance of a town's map."""
 
     longer_px: int = 1600
-    """Longer side, pixels."""
+    """Longer side of the map, pixels."""
     view_m: float = 60.0
-    """Length to which view cones are drawn, metres."""
+    """Length of view cones, metres."""
     frame_m: float = 30.0
-    """Width of the ground that is drawn around the network, metres."""
+    """Width of the ground around the network, metres."""
     drawn_within_m: float = 200.0
-    """Distance up to which lanes are drawn, metres."""
+    """Maximum distance of lanes that are drawn, metres."""
     sample_m: float = 1.0
     """Spacing of the points of a lane, metres."""
     arrow_spacing_m: float = 15.0
-    """Metres from arrow to arrow."""
+    """Distance between arrows, metres."""
     background: int = 90
-    """Grey of the background, of 255."""
+    """Grey level of the background, 0 to 255."""
 
 
 TOWN_MAP: Final = TownMapStyle()
@@ -59,7 +61,7 @@ SPLIT_RGB: Final[dict[str, PlotColor]] = {
 
 
 def town_map(town: Town) -> Pixels:
-    """(H, W, 3) RGB: north is up."""
+    """Return the map (H, W, 3), RGB, with north at the top."""
     layout = Layout.of(town)
     x0, y0, x1, y1 = layout.graph.road.buffer(TOWN_MAP.frame_m).bounds
     scale = TOWN_MAP.longer_px / max(x1 - x0, y1 - y0)
@@ -123,7 +125,7 @@ _LANE_COLORS, _ARROW, _OCCLUDER, _SHADE = (255, 200, 40), (60, 220, 255), (255, 
 
 
 def draw_lanes(road: OwnRoad) -> Pixels:
-    """(H, W, 3) RGB: the photograph, or grey, with both edges of each lane, arrows along it, occluders and shades."""
+    """Return the photograph or a grey image (H, W, 3), RGB, with lane edges, arrows, occluders and shades."""
     camera, graph = road.camera, RoadGraph.of(Town.of(road))
     size = (camera.width, camera.height)
     image = (
@@ -145,7 +147,7 @@ def draw_lanes(road: OwnRoad) -> Pixels:
 
 
 def _ways_along(line: Array) -> tuple[Array, Array]:
-    """(N, 3) places along a line and unit vectors to its left."""
+    """Return points (N, 3) along a line, and unit vectors to its left."""
     marks = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line[:, :2], axis=0).T))])
     at = np.linspace(0.0, marks[-1], max(2, round(marks[-1] / TOWN_MAP.sample_m)))
     middle = np.column_stack([np.interp(at, marks, column) for column in line.T])
@@ -155,7 +157,7 @@ def _ways_along(line: Array) -> tuple[Array, Array]:
 
 
 def _draw_lane(image: Pixels, road: OwnRoad, graph: RoadGraph, line: Array, color: tuple[int, int, int]) -> None:
-    """A line (N, 3) of the graph where it is before the camera."""
+    """Draw a line (N, 3) of the graph where it is before the camera."""
     pixels, depth, valid = road.camera.project(graph.world(line))
     near = valid & (depth < TOWN_MAP.drawn_within_m) & (np.abs(np.nan_to_num(pixels)) < 1e4).all(axis=-1)
     at = np.rint((np.where(near[:, None], pixels, 0.0) - 0.5) * 2**DRAWING_STYLE.subpixel_bits).astype(int).tolist()

@@ -1,5 +1,8 @@
-"""Checks of a vehicle model: keypoints, symmetry, dimensions, wheels, surfaces, parts, sidecar; and its contact sheet
-by the project's own renderer, with numbered keypoints and the skeleton."""
+"""Checks of a vehicle model, and its contact sheet.
+
+The checks cover keypoints, symmetry, dimensions, wheels, surfaces, parts and sidecar. The sheet is drawn by the
+project's own renderer, with numbered keypoints and the skeleton.
+"""
 
 import math
 from collections.abc import Iterator
@@ -31,35 +34,35 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class ModelTolerances:
-    """Tolerances of vehicle models, and the sheets that show them."""
+    """Tolerances of vehicle models, and settings of their sheets."""
 
     surface_m: float = 0.01
-    """Largest distance of a keypoint from the surface, metres."""
+    """Maximum distance of a keypoint from the surface, metres."""
     symmetry_m: float = 0.005
-    """Largest asymmetry, metres."""
+    """Maximum asymmetry, metres."""
     ground_m: float = 0.01
-    """Largest distance of the lowest point from the ground, metres."""
+    """Maximum distance of the lowest point from the ground, metres."""
     rays: int = 300
-    """Number of rays that are cast at the surface from each of four sides."""
+    """Number of rays to the surface from each of four sides."""
     corner_m: float = 0.05
-    """Metres that a bumper may reach beyond the markers of its corners, along the diagonal."""
+    """Maximum reach of a bumper beyond the markers of its corners, along the diagonal, metres."""
     corner_band_m: float = 0.15
-    """Height above and below a bumper's marker within which it is looked for, metres."""
+    """Height above and below a bumper's marker within which the bumper is searched, metres."""
     back_share: float = 0.002
-    """Share of rays from outside that may meet a triangle's back first."""
+    """Maximum share of rays from outside that meet the back of a triangle first."""
     size_m: float = 0.03
-    """Largest difference of a mesh's length and height from what the shape says, metres."""
+    """Maximum difference between the length and height of a mesh and of its shape, metres."""
     rod_m: float = 0.01
-    """Half of the width of what counts as a rod on the middle of a roof, metres."""
+    """Half of the maximum width of a rod on the middle of a roof, metres."""
     grazing_sin: float = 0.1
-    """Sine of the angle under which a back does not count: the rim of what lies on a panel, seen over the panel's
-    edge."""
+    """Sine of the angle below which the back of a triangle is ignored: the rim of a part on a panel, seen over the
+    panel's edge."""
     sheet_fov_rad: float = math.radians(20)
     """Field of view of a sheet, radians."""
     sheet_margin: float = 1.12
-    """Factor of the distance that leaves a margin."""
+    """Factor on the distance that gives a margin."""
     sheet_bend_rad: float = math.radians(25)
-    """Bend of articulated vehicles in the views of three quarters."""
+    """Bend of articulated vehicles in the three-quarter views, radians."""
 
 
 MODEL_TOLERANCES: Final = ModelTolerances()
@@ -72,21 +75,21 @@ LAMP_PARTS: Final = {
     "indicator_right": "right indicators",
     "reverse_light": "reverse lamps",
 }
-"""Materials that stand for the lamps' functions."""
+"""Materials of lamps, with the names of their functions."""
 
 
 @dataclass(frozen=True)
 class VehicleFinding:
     text: str
     harmless: bool = False
-    """Whether the maker of a user's own model may have wanted this."""
+    """Whether the maker of a user's own model may intend this."""
 
     def __str__(self) -> str:
         return self.text
 
 
 def findings(vehicle: Vehicle) -> Iterator[VehicleFinding]:
-    """Check a vehicle model: yields what is wrong with it."""
+    """Check a vehicle model, and yield its errors."""
     added = isinstance(vehicle, AddedVehicle)
     for part in (_surface, _symmetry, _size, _wheels, _orientation, _sidecar):
         yield from map(VehicleFinding, part(vehicle))
@@ -116,7 +119,7 @@ def _symmetry(vehicle: Vehicle) -> Iterator[str]:
 
 
 def _corners(vehicle: Vehicle) -> Iterator[str]:
-    """Corners of bumpers that are marked inside of where people see them (docs/conventions.md)."""
+    """Yield corners of bumpers that are marked inside the visible corner (docs/conventions.md)."""
     mesh = straight_mesh(vehicle)
     surface = mesh.vertices[np.unique(mesh.triangles)]
     for name in (f"bumper_{end}_{side}" for end in ("front", "rear") for side in ("right", "left")):
@@ -126,7 +129,7 @@ def _corners(vehicle: Vehicle) -> Iterator[str]:
         beyond = float(((surface[near, :2] - marker[:2]) @ outwards).max(initial=0.0))
         if beyond > MODEL_TOLERANCES.corner_m:
             yield (
-                f"keypoints: {name} lies {100 * beyond:.0f} cm inside of the bumper's corner: mark where the outline, "
+                f"keypoints: {name} lies {100 * beyond:.0f} cm inside the bumper's corner: mark where the outline, "
                 "seen from above, is farthest out along the diagonal, at the bumper's lower edge"
             )
 
@@ -147,21 +150,21 @@ def _class(vehicle: Vehicle) -> Iterator[str]:
 def _size(vehicle: Vehicle) -> Iterator[str]:
     vertices = straight_mesh(vehicle).vertices
     length, _, height = straight_lwh(vehicle)
-    # A rod antenna is not counted, as vehicles' papers do not.
+    # A rod antenna is not included, as in vehicles' registration papers.
     rod = (vertices[:, 2] > height + MODEL_TOLERANCES.size_m) & (np.abs(vertices[:, 1]) < MODEL_TOLERANCES.rod_m)
     for name, found, said in (
         ("length", np.ptp(vertices[:, 0]), length),
         ("height", vertices[~rod, 2].max(), height),
     ):
         if abs(found - said) > MODEL_TOLERANCES.size_m:
-            yield f"mesh: its {name} is {found:.2f} m, the shape says {said:.2f} m"
+            yield f"mesh: {name} {found:.2f} m, expected {said:.2f} m from the shape"
 
 
 def _wheels(vehicle: Vehicle) -> Iterator[str]:
     radius = vehicle.shape.wheel_radius
     around = np.linalg.norm(vehicle.wheel.vertices[:, [0, 2]], axis=1).max()
     if abs(around - radius) > 0.01:
-        yield f"wheel: its mesh has a radius of {around:.3f} m, the shape says {radius:.3f} m"
+        yield f"wheel: mesh radius {around:.3f} m, expected {radius:.3f} m from the shape"
     centers = vehicle.shape.wheel_centers()
     if vehicle.trailer:
         centers[2:] = vehicle.trailer.at_rest[1:, :3, 3]
@@ -174,7 +177,7 @@ def _wheels(vehicle: Vehicle) -> Iterator[str]:
 
 
 def _orientation(vehicle: Vehicle) -> Iterator[str]:
-    """Rays from around the vehicle to its surface must meet fronts first."""
+    """Yield an error if rays from around the vehicle meet the backs of triangles first."""
     rng = np.random.default_rng(0)
     mesh = straight_mesh(vehicle)
     corners = mesh.vertices[mesh.triangles]
@@ -203,7 +206,7 @@ def _sidecar(vehicle: Vehicle) -> Iterator[str]:
 
 
 def distance_to_surface(point: Array, triangles: Array) -> float:
-    """Metres from a point (3,) to the nearest of T triangles (T, 3, 3), exact up to 0.1 m, else inf."""
+    """Return the distance from a point (3,) to triangles (T, 3, 3), metres: exact up to 0.1 m, else inf."""
     reach = 0.1
     near = ((triangles.min(axis=1) <= point + reach) & (triangles.max(axis=1) >= point - reach)).all(axis=1)
     if not near.any():
@@ -229,7 +232,7 @@ SHEET_VIEWS: Final = {
     "rear": (180.0, 6.0),
     "top": (90.0, 80.0),
 }
-"""Directions of the camera: degrees from straight ahead towards the vehicle's left, and above the horizon."""
+"""Directions of the camera, degrees: from straight ahead towards the vehicle's left, and above the horizon."""
 _CAR_COLOR: Final = "red"
 _SHEET_CONDITIONS: Final = Conditions(
     sun_elevation_deg=50.0,
@@ -244,7 +247,7 @@ _SHEET_CONDITIONS: Final = Conditions(
 
 
 def sheet(vehicle: Vehicle, renderer: str, *, size: tuple[int, int] = (640, 400)) -> NDArray[np.uint8]:
-    """All views of a vehicle, plain above and labelled below, with its name and dimensions as caption."""
+    """Return all views of a vehicle, plain at the top and labelled below, with its name and dimensions as caption."""
     pictures = list(_pictures(vehicle, renderer, size))
     columns = len(SHEET_VIEWS) // 2
     rows = [pictures[i : i + columns] for i in range(0, len(pictures), columns)]
@@ -268,7 +271,7 @@ def _pictures(
 
 
 def _sheet_camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tuple[int, int], bend: float) -> Camera:
-    """A camera that looks at the middle of a vehicle, bent by an angle, and just holds it."""
+    """Return a camera that points at the middle of a vehicle, bent by an angle, and just contains it."""
     toward = np.array(
         [math.cos(azimuth) * math.cos(elevation), math.sin(azimuth) * math.cos(elevation), math.sin(elevation)]
     )
@@ -293,13 +296,13 @@ def _sheet_camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tupl
 
 
 def sheet_color(vehicle: Vehicle) -> str:
-    """A paint that shows a model's shape, or its livery."""
+    """Return a paint that shows a model's shape, or its livery."""
     own = palette(vehicle)
     return _CAR_COLOR if _CAR_COLOR in own else own[min(1, len(own) - 1)]
 
 
 def parked_recording(vehicle: Vehicle, camera: Camera, bend: float = 0.0) -> Recording:
-    """One frame of a vehicle that stands at the origin of an empty place, heading east, bent by an angle."""
+    """Return one frame of a vehicle at the origin of an empty place, heading east, bent by an angle."""
     wheels = np.tile(np.eye(4), (1, 4, 1, 1))
     wheels[0, :, :3, 3] = vehicle.shape.wheel_centers()
     return Recording(

@@ -1,1 +1,1 @@
-"""Stage 3: pictures of a recording, by OpenGL or by pybullet's TinyRenderer."""
+"""Stage 3: render the images of a recording with OpenGL or pybullet's TinyRenderer."""

@@ -1,5 +1,8 @@
-"""Effects of the camera on a clean picture: the lens' distortion, rain, snow and dirt before it, noise; what its
-electronics and stream do, which is text, less resolution, processing and compression."""
+"""Camera effects on a rendered image.
+
+They cover lens distortion, rain, snow, dirt on the glass and sensor noise. The effects of the camera's electronics and
+stream follow: overlaid text, lower resolution, processing and compression.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -24,30 +27,31 @@ from skope.types import Pixels
 
 @dataclass(frozen=True)
 class StreamEffects:
-    """Numerical limits of the camera's effects."""
+    """Numerical limits of the camera effects."""
 
     contrast_pivot: float = 118.0
-    """Value that contrast leaves unchanged, of 255: that of a surface which reflects 18% of the light."""
+    """Grey level that the contrast setting leaves unchanged, 0 to 255: that of a surface that reflects 18% of the
+    light."""
     detail_px: float = 1.2
     """Standard deviation of the Gaussian that separates the finest detail, pixels of the stream."""
     overlay_year: int = 2025
     """Year in overlaid dates."""
     least_noise: float = 0.3
-    """Noise of rounding to whole values, standard deviation."""
+    """Standard deviation of the noise from rounding to whole grey levels."""
     table_slack: int = 256
-    """Entries of the tone table beyond its range."""
+    """Extra rows and columns of the noise field beyond the image, pixels. Each frame shows a window of the field."""
     rounding: int = 2
-    """Difference up to which a pixel was not drawn over, of 255."""
+    """Maximum grey-level difference (0 to 255) at which a pixel counts as not drawn over."""
 
 
 STREAM_EFFECTS: Final = StreamEffects()
 
 _GREY_WEIGHTS: Final = np.array([0.299, 0.587, 0.114])
-"""Weights of red, green and blue in a pixel's brightness (ITU-R BT.601)."""
+"""Weights of red, green and blue in the brightness of a pixel (ITU-R BT.601)."""
 
 
 def processed(rgb: Pixels, conditions: Conditions) -> Pixels:
-    """A picture (H, W, 3) as the camera sends it; the very same array where the camera changes nothing."""
+    """Return an image (H, W, 3) after the camera's processing; the same array if the camera changes nothing."""
     if conditions.contrast != 1 or conditions.black_level:
         rgb = _as_image(cv2.LUT(rgb, _tones(conditions.contrast, conditions.black_level)))
     if conditions.saturation != 1:
@@ -60,7 +64,7 @@ def processed(rgb: Pixels, conditions: Conditions) -> Pixels:
 
 
 def _tones(contrast: float, black_level: float) -> Pixels:
-    """(256,) what each value of the sensor's picture is shown as."""
+    """Return the tone table (256,): the output value for each value of the sensor."""
     values = STREAM_EFFECTS.contrast_pivot + contrast * (np.arange(256) - STREAM_EFFECTS.contrast_pivot)
     lifted = black_level + (1 - black_level / 255) * np.clip(values, 0, 255)
     return np.asarray(np.rint(lifted), dtype=np.uint8)
@@ -74,7 +78,7 @@ _LABEL_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def streamed(rgb: Pixels, recording: Recording, frame: int) -> Pixels:
-    """A frame (H, W, 3) as it comes out of a recording's stream."""
+    """Return a frame (H, W, 3) as it leaves the recording's stream."""
     conditions = recording.conditions
     height, width = rgb.shape[:2]
     if conditions.screen_text >= 0.5:
@@ -83,7 +87,7 @@ def streamed(rgb: Pixels, recording: Recording, frame: int) -> Pixels:
     small = rgb if size == (width, height) else np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
     small = processed(small.astype(np.uint8, copy=False), conditions)
     if conditions.compression_quality < 100:
-        # Red and blue are swapped for both ways, so that the codec's chroma is that of the right colours.
+        # Red and blue are swapped before and after, so that the codec's chroma uses the right colours.
         quality = [cv2.IMWRITE_JPEG_QUALITY, round(conditions.compression_quality)]
         _, data = cv2.imencode(".jpg", small[..., ::-1], quality)
         decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)
@@ -95,7 +99,7 @@ def streamed(rgb: Pixels, recording: Recording, frame: int) -> Pixels:
 
 
 def _write_overlay_text(rgb: Pixels, recording: Recording, frame: int) -> None:
-    """Date and time above, the site's name below, in white with a dark edge."""
+    """Write the date and time at the top and the site's name at the bottom, in white with a dark outline."""
     height, width = rgb.shape[:2]
     conditions = recording.conditions
     seconds = round(3600 * conditions.hour + float(recording.times_s[frame]))
@@ -114,10 +118,15 @@ def _write_overlay_text(rgb: Pixels, recording: Recording, frame: int) -> None:
 
 
 class Sensor:
-    """A renderer whose views are those of the recording's own camera."""
+    """Renderer that returns the views of the recording's own camera, with its lens, dirt, weather and noise."""
 
     def __init__(self, recording: Recording, make: Callable[[Recording], Renderer]) -> None:
-        """`make` is given the recording with a camera that has no distortion."""
+        """Store the recording.
+
+        Args:
+            recording: The recording to draw.
+            make: Makes the renderer; called with the recording and a camera without distortion.
+        """
         self._recording = recording
         self._lens = None if recording.camera.distortion.model == "none" else Lens(recording.camera)
         seen, self._bent = recording, None
@@ -131,12 +140,12 @@ class Sensor:
         self._clean = make(seen)
 
     def render(self, frame: int) -> RenderedFrame:
-        """Draw a frame; its contrast is in units of what noise and compression hide."""
+        """Draw a frame. Its contrast is in multiples of the difference that noise and compression hide."""
         view = self._clean.render(frame)
         if self._lens:
             view = self._lens.bend(view)
         if self._recording.photograph is not None and self._bent is not None:
-            # The photograph itself where nothing was drawn over it, for going through two warps blurs it.
+            # Use the photograph itself where nothing was drawn over it, because two warps blur it.
             untouched = cv2.absdiff(view.rgb, self._bent).max(axis=-1, keepdims=True) <= STREAM_EFFECTS.rounding
             view = replace(view, rgb=np.where(untouched, self._recording.photograph, view.rgb))
         conditions = self._recording.conditions
@@ -153,21 +162,28 @@ class Sensor:
 
 
 def grey(conditions: Conditions) -> bool:
-    """Whether the camera has swung its infrared filter away."""
+    """Return whether the infrared filter is off, so that the image is grey."""
     return conditions.infrared >= 0.5 and conditions.sun_elevation_deg < DARK_DEG
 
 
 def sigma_of(conditions: Conditions) -> float:
-    """Standard deviation of the noise, of 255: it grows with less than the root of the gain, as cameras smooth it."""
+    """Return the standard deviation of the noise, in grey levels (0 to 255).
+
+    It grows more slowly than the square root of the gain, because cameras smooth the noise.
+    """
     return float(conditions.noise * 10 ** (conditions.gain_db / 60))
 
 
 def hidden_below(conditions: Conditions, sigma: float | None = None) -> float:
-    """Difference that noise and compression hide, of 255; `sigma` is the noise's, None for that of the conditions.
+    """Return the grey-level difference (0 to 255) that noise and compression hide.
 
-    The standard deviation of the noise, or the step in which JPEG rounds the mean of a block of 8 x 8 pixels (16 / 8 at
-    quality 50, by libjpeg's scale at others), whichever is more; the step is one of the picture that is compressed,
-    whose differences the camera has multiplied by its contrast.
+    It is the larger of two values. The first is the standard deviation of the noise. The second is the step in which
+    JPEG rounds the mean of a block of 8 x 8 pixels: 16 / 8 at quality 50, scaled as in libjpeg for other qualities. The
+    step applies to the compressed image, in which the camera has multiplied differences by its contrast.
+
+    Args:
+        conditions: Conditions of the recording.
+        sigma: Standard deviation of the noise; None: the value that follows from the conditions.
     """
     quality, step = conditions.compression_quality, 0.0
     if quality < 100:
@@ -177,8 +193,10 @@ def hidden_below(conditions: Conditions, sigma: float | None = None) -> float:
 
 @lru_cache(maxsize=2)
 def _standard_noise(height: int, width: int, channels: int) -> NDArray[np.float32]:
-    """(height, width, channels) independent noise of standard deviation 1, for an image and
-    `STREAM_EFFECTS.table_slack` pixels more."""
+    """Return (height, width, channels) independent noise of standard deviation 1.
+
+    It covers an image and `STREAM_EFFECTS.table_slack` more pixels on each axis.
+    """
     return np.random.default_rng(5).standard_normal(
         (height + STREAM_EFFECTS.table_slack, width + STREAM_EFFECTS.table_slack, channels), dtype=np.float32
     )
@@ -186,13 +204,13 @@ def _standard_noise(height: int, width: int, channels: int) -> NDArray[np.float3
 
 @lru_cache(maxsize=2)
 def _left_noise(height: int, width: int, mono: bool, blotches_px: float) -> NDArray[np.float32]:
-    """(height, width, 3) noise of standard deviation 1 that a night camera leaves, sized as `_standard_noise`.
+    """Return (height, width, 3) residual noise of a night camera with standard deviation 1, sized as `_standard_noise`.
 
-    It is smoothed by a Gaussian of `blotches_px`, 0 for none.
+    A Gaussian with standard deviation `blotches_px` smooths it; 0 means no smoothing.
     """
     noise = _standard_noise(height, width, 1 if mono else 3)
     if not mono:
-        # A part of it is common to the channels, as each is worked out from pixels of all colours.
+        # A part of the noise is common to the channels, because each channel is computed from pixels of all colours.
         noise = 0.6 * noise + 0.4 * noise.sum(axis=-1, keepdims=True)
     if blotches_px:
         noise = np.asarray(cv2.GaussianBlur(noise, (0, 0), blotches_px), dtype=np.float32).reshape(noise.shape)
@@ -201,10 +219,10 @@ def _left_noise(height: int, width: int, mono: bool, blotches_px: float) -> NDAr
 
 @lru_cache(maxsize=2)
 def _noise_field(height: int, width: int, sigma: float, gain_db: float, mono: bool) -> NDArray[np.uint8]:
-    """(2, height, width, 3) what noise adds and takes, for an image and `STREAM_EFFECTS.table_slack` pixels more on
-    each axis.
+    """Return (2, height, width, 3): the noise that is added and the noise that is subtracted.
 
-    With gain more and more of it is in blotches, as cameras smooth the finest of it away; `mono` has no colours.
+    The field covers an image and `STREAM_EFFECTS.table_slack` more pixels on each axis. With more gain, a larger part
+    of the noise is in blotches, because cameras smooth the finest noise away. With `mono` the noise has no colours.
     """
     noise = _standard_noise(height, width, 1 if mono else 3)
     if not mono and gain_db > 0:
@@ -215,15 +233,15 @@ def _noise_field(height: int, width: int, sigma: float, gain_db: float, mono: bo
         noise = (1 - share) * noise + share * blotches / blotches.std()
         noise = noise / noise.std()
     noise = np.broadcast_to(np.rint(sigma * noise), (*noise.shape[:2], 3))
-    # Apart they are bytes, as the image is, which OpenCV adds in half the time.
+    # Both parts are bytes, as the image is: OpenCV adds bytes in half the time.
     return np.stack([np.clip(sign * noise, 0, 255).astype(np.uint8) for sign in (1, -1)])
 
 
 def with_noise(clean: NDArray[np.uint8], recording: Recording, frame: int) -> NDArray[np.uint8]:
-    """(H, W, 3) with the noise of this frame, which depends on seed, site, recording and frame alone.
+    """Return the image (H, W, 3) with the noise of this frame.
 
-    A window of one field, at a place of its own in each frame: drawing 6 million numbers a frame would take longer
-    than rendering it.
+    The noise depends only on seed, site, recording and frame. Each frame uses a different window of one noise field,
+    because drawing 6 million random numbers per frame would take longer than rendering it.
     """
     conditions = recording.conditions
     field = _noise_field(*clean.shape[:2], sigma_of(conditions), conditions.gain_db, grey(conditions))
@@ -233,7 +251,7 @@ def with_noise(clean: NDArray[np.uint8], recording: Recording, frame: int) -> ND
 
 
 def _noise_window(clean: NDArray[np.uint8], recording: Recording, frame: int) -> tuple[slice, slice]:
-    """Rows and columns of the noise that this frame has, in a field larger than the image."""
+    """Return the rows and columns of this frame's window in a noise field that is larger than the image."""
     y, x = recording.rng(Stream.SENSOR_NOISE, frame).integers(0, STREAM_EFFECTS.table_slack, 2)
     height, width = clean.shape[:2]
     return slice(y, y + height), slice(x, x + width)
@@ -242,7 +260,10 @@ def _noise_window(clean: NDArray[np.uint8], recording: Recording, frame: int) ->
 def with_metered_noise(
     clean: NDArray[np.uint8], noise: NDArray[np.float32], recording: Recording, frame: int
 ) -> NDArray[np.uint8]:
-    """(H, W, 3) with noise of this frame whose standard deviation, (256,), follows from each pixel's value."""
+    """Return the image (H, W, 3) with noise of this frame.
+
+    Its standard deviation (256,) depends on each pixel's value.
+    """
     conditions = recording.conditions
     blotches_px = NIGHT_SENSOR.blotches_px if conditions.denoising > 0 else 0.0
     field = _left_noise(*clean.shape[:2], grey(conditions), blotches_px)

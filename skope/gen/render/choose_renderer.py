@@ -1,4 +1,4 @@
-"""Choose the renderer that this machine can run, and make one for a recording."""
+"""Choose the renderer that this machine can run, and create it for a recording."""
 
 from collections.abc import Callable
 from functools import partial
@@ -12,17 +12,17 @@ RENDERER_CHOICES: Final = ("auto", "gl", "pybullet")
 
 
 def choose_renderer(name: str) -> tuple[str, str, str]:
-    """Resolve a `--renderer` flag.
+    """Resolve a `--renderer` option.
 
     Args:
-        name: One of `RENDERER_CHOICES`. "auto" is "gl" where an OpenGL context can be created, else "pybullet".
+        name: One of `RENDERER_CHOICES`. "auto" selects "gl" if an OpenGL context can be created, else "pybullet".
 
     Returns:
-        "gl" or "pybullet"; the driver that it draws with (pixels are the same on the same driver only); a sentence
-        for the user about the choice.
+        "gl" or "pybullet"; the name of its driver (pixels are equal only on equal drivers); a sentence for the user
+        about the choice.
 
     Raises:
-        UserError: There is no such renderer, or "gl" is asked for and no OpenGL context can be created.
+        UserError: The renderer does not exist, or `name` is "gl" and no OpenGL context can be created.
     """
     if one_of("--renderer", name, RENDERER_CHOICES) == "pybullet":
         return "pybullet", "TinyRenderer", "renderer pybullet"
@@ -33,17 +33,17 @@ def choose_renderer(name: str) -> tuple[str, str, str]:
     except UserError as error:
         if name == "gl":
             raise
-        return "pybullet", "TinyRenderer", f"renderer pybullet, which is plainer, because: {error}"
+        return "pybullet", "TinyRenderer", f"renderer pybullet (simpler images), because: {error}"
 
 
 def make_renderer(name: str, recording: Recording, on_light: Callable[[], None] = lambda: None) -> Renderer:
-    """Make a renderer for a recording's frames, with the distortion of its lens and the noise of its sensor.
+    """Create a renderer for a recording's frames, with the distortion of its lens and the noise of its sensor.
 
     Args:
         name: "gl" or "pybullet", as `choose_renderer` returns it.
-        recording: What is drawn.
-        on_light: Called, perhaps more than once, before "gl" works out the light of the recording's scenery, which may
-            take most of a minute; not called where the cache has it.
+        recording: The recording to draw.
+        on_light: Called, possibly more than once, before "gl" computes the light of the recording's scenery. This can
+            take most of a minute. Not called if the light is in the cache.
     """
     from skope.gen.render.camera_effects import Sensor
 

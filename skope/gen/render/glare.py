@@ -1,6 +1,6 @@
-"""Light that lens and air spread around bright lamps, drawn over a picture: it shows when it is dark or foggy.
+"""Glare: light that lens and air spread around bright lamps, visible in the dark or in fog.
 
-It is worked out on a grid coarser than the image, in linear light as the camera exposes it.
+It is computed on a grid coarser than the image, in linear light as the camera exposes it.
 """
 
 from collections.abc import Iterable
@@ -23,7 +23,7 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class GlareStrengths:
-    """Glare of lamps by day."""
+    """Strengths and limits of the lamps' glare."""
 
     cell_px: int = 4
     """Pixels of the image per cell of the grid, on each axis."""
@@ -34,25 +34,25 @@ class GlareStrengths:
     signal: float = 0.4
     """Glare of a traffic signal."""
     smear_factor: float = 6.0
-    """Share of lamps' glare that dirty glass spreads far around them, as a factor on its mean there."""
+    """Factor on the mean glare around lamps that dirty glass spreads far."""
     far_widths: float = 0.06
     """Distance over which dirty glass spreads glare, as a share of the image's width."""
     full_within_m: float = 15.0
-    """Distance up to which lamps glare at their strongest, metres."""
+    """Distance within which lamps have their full glare, metres."""
     least_glare: float = 0.006
-    """Glare that is weaker than this after exposure is not drawn."""
+    """Exposed glare below which it is not drawn."""
     surface_slack_m: float = 0.35
-    """Distance by which the surface shown there may be nearer than a lamp without hiding it, metres."""
+    """Maximum distance by which a surface may be nearer than a lamp without hiding it, metres."""
 
 
 GLARE_STRENGTHS: Final = GlareStrengths()
 
 
 class Glare:
-    """Spreads the lamps of a recording."""
+    """Spreads the light of a recording's lamps."""
 
     def __init__(self, camera: Camera, conditions: Conditions, town: Scenery, depth: NDArray[np.float32]) -> None:
-        """`depth` is that of the scenery."""
+        """Prepare a recording's lamps; `depth` is that of the scenery."""
         self._camera, self._signals = camera, town.signals
         self._dark = conditions.sun_elevation_deg < DARK_DEG
         self.seen = self._dark or conditions.visibility_m < GLARE_STRENGTHS.haze_visibility_m
@@ -73,7 +73,7 @@ class Glare:
     def spread(
         self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], ids: NDArray[np.int32], moment: Moment
     ) -> NDArray[np.uint8]:
-        """Put the glare of what is lit at a moment into the picture (H, W, 3), and return it."""
+        """Draw the glare of the lamps that are lit at a moment into the image (H, W, 3), and return it."""
         if not self.seen:
             return rgb
         light = self._still.copy()
@@ -100,14 +100,14 @@ class Glare:
             interpolation=cv2.INTER_LINEAR,
         )
         veil, under = veil[: end - first, : rgb.shape[1]], rgb[first:end]
-        # Screened: what is bright already has less to gain.
+        # Screen blending: bright pixels gain less.
         cv2.add(under, cv2.multiply(veil, cv2.bitwise_not(under), scale=1 / 255), dst=under)
         return rgb
 
     def _add_lamps(
         self, light: NDArray[np.float32], lit: Iterable[Lit], depth: NDArray[np.float32], ids: NDArray[np.int32] | None
     ) -> None:
-        """Add lamps that the camera sees to the grid."""
+        """Add the lamps that the camera sees to the grid."""
         camera, lamps = self._camera, list(lit)
         if not lamps:
             return
@@ -127,7 +127,7 @@ class Glare:
             scale = camera.width / 1920
             through = float(np.exp(-self._scatter * away))
             _add_spread_light(light, pixels[i] / GLARE_STRENGTHS.cell_px, 2.2 * scale, strength * through * color)
-            # Drops of fog send light on in about its own direction.
+            # Fog droplets scatter light mostly forwards.
             halo = strength * (1 - np.exp(-self._scatter * min(away, 60.0))) * 0.5
             _add_spread_light(light, pixels[i] / GLARE_STRENGTHS.cell_px, 11.0 * scale, halo * color)
 
@@ -142,7 +142,7 @@ class Glare:
 
 
 def _far_around(light: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Light on the grid (h, w, 3), blurred so that little of its places is left."""
+    """Return the light on the grid (h, w, 3) with a blur wide enough to remove most detail."""
     height, width = light.shape[:2]
     small = cv2.resize(light, (max(width // 8, 1), max(height // 8, 1)), interpolation=cv2.INTER_AREA)
     wide = cv2.GaussianBlur(small, (0, 0), max(GLARE_STRENGTHS.far_widths * small.shape[1], 0.5))
@@ -151,7 +151,10 @@ def _far_around(light: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @lru_cache(maxsize=64)
 def _point_spread(radius: int, core: float) -> NDArray[np.float32]:
-    """(2 r + 1, 2 r + 1) a point spread function that falls off as glare in eyes and lenses does, 1 in the middle."""
+    """Return a point-spread function (2 r + 1, 2 r + 1) with the falloff of glare in eyes and lenses.
+
+    It is 1 in the middle.
+    """
     y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1].astype(np.float32)
     square = (x * x + y * y) / (core * core)
     edge = np.clip(1 - np.sqrt(x * x + y * y) / radius, 0, 1)

@@ -1,5 +1,8 @@
-"""The lens: its distortion, which is one warp for picture, depth, ids and silhouettes from a view without distortion;
-and dirt on the glass before it, which stays where it is through a recording."""
+"""Lens distortion and dirt on the glass.
+
+The distortion is one warp for image, depth, ids and silhouettes of a view without distortion. The dirt does not change
+during a recording.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -25,32 +28,33 @@ class LensLimits:
     largest_px: int = 8192
     """Largest side of an image, pixels."""
     margin_px: int = 2
-    """Pixels of the pinhole's image beyond what the lens shows."""
+    """Margin of the pinhole's image beyond the view of the lens, pixels."""
     specks: int = 60
     """Number of specks of dust on the dirtiest glass."""
     smears: int = 14
-    """Number of smears and dried drops on it."""
+    """Number of smears and dried drops on the dirtiest glass."""
     blur_share: float = 0.022
     """Blur of dirt, as a share of the image's width. Dirt is far out of focus."""
     darkest: float = 0.45
-    """Share of the light that a speck takes."""
+    """Share of the light that a speck blocks."""
     thickest: float = 0.85
-    """Share of the picture that is out of focus behind the thickest smear."""
+    """Share of the image that is out of focus behind the thickest smear."""
     veil_share: float = 0.16
-    """Light from all over the picture that dirt spreads, as a share of what it takes."""
+    """Share of the light from the whole image in the veil that dirt adds."""
 
 
 LENS_LIMITS: Final = LensLimits()
 
 
 _WHOLE_PIXELS: Final = np.zeros((0, 0), dtype=np.uint16)
-"""Parts of a pixel between those that OpenCV takes: none."""
+"""Empty fractional map for OpenCV's remap: whole pixels only."""
 
 
 def pinhole_of(camera: Camera) -> Camera:
-    """A camera without distortion that sees all that `camera` shows, as fine as its middle.
+    """Return a camera without distortion that covers the view of `camera`, with the resolution of its middle.
 
-    Raises UserError when the distortion folds the image or shows more than such a camera could.
+    Raises:
+        UserError: The distortion folds the image, or the view is too wide for a camera without distortion.
     """
     name = f"camera.distortion {camera.distortion.model} {list(camera.distortion.coefficients)}"
     columns, rows = (np.linspace(0, side, 64) for side in (camera.width, camera.height))
@@ -70,31 +74,38 @@ def pinhole_of(camera: Camera) -> Camera:
 
 
 class Lens:
-    """Takes views of a pinhole camera to those of a camera with distortion at the same place."""
+    """Converts views of a pinhole camera to those of a camera with distortion at the same place."""
 
     def __init__(self, camera: Camera) -> None:
-        """Raises UserError as `pinhole_of` does."""
+        """Compute the warp.
+
+        Raises:
+            UserError: As in `pinhole_of`.
+        """
         self._camera = camera
         self.pinhole = pinhole_of(camera)
         columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
         rays, _ = camera.rays(np.stack([columns, rows], axis=-1))
         K = self.pinhole.K
         source = rays[..., :2] * K[[0, 1], [0, 1]] + K[:2, 2]
-        # Where in the pinhole's image each pixel's centre is, counted in OpenCV's way.
+        # Position of each pixel's centre in the pinhole's image, in OpenCV's pixel convention.
         self._columns, self._rows = (source[..., k].astype(np.float32) - np.float32(0.5) for k in (0, 1))
         self._nearest = np.floor(source).astype(np.int16)
         """(H, W, 2) column and row of the pinhole's pixel that shows each pixel's centre."""
         self._shown = _window_within(source)
         off = (source - self._nearest - 0.5).astype(np.float32)
         self._off_right, self._off_down = (np.ascontiguousarray(off[..., k]) for k in (0, 1))
-        """(H, W) from the centre of the nearest pixel to there."""
+        """(H, W) offset from the centre of the nearest pixel to that position."""
         self._jacobian = [
             [np.gradient(source[..., k], axis=axis).astype(np.float32) for axis in (1, 0)] for k in (0, 1)
         ]
-        """(H, W) change of the source's x, y (rows) for a pixel to the right and down (columns)."""
+        """(H, W) change of the source's x, y (rows) per pixel to the right and down (columns)."""
 
     def straightened(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The picture of a pinhole camera, from that of the lens (`rgb`, (H, W, 3)); the rim is continued outwards."""
+        """Return the image of a pinhole camera from that of the lens (`rgb`, (H, W, 3)).
+
+        The border is extended outwards.
+        """
         pinhole, camera = self.pinhole, self._camera
         columns, rows = np.meshgrid(np.arange(pinhole.width) + 0.5, np.arange(pinhole.height) + 0.5)
         ideal, _ = pinhole.rays(np.stack([columns, rows], axis=-1))
@@ -104,14 +115,18 @@ class Lens:
         return np.asarray(cv2.remap(rgb, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), dtype=np.uint8)
 
     def bent(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """A picture of the pinhole camera as the lens shows it."""
+        """Return an image of the pinhole camera as the lens shows it."""
         return np.asarray(cv2.remap(rgb, self._columns, self._rows, cv2.INTER_LINEAR), dtype=np.uint8)
 
     def bend(self, view: RenderedFrame) -> RenderedFrame:
-        """The view as the lens shows it; depth and ids are those of the nearest pixel, depth carried on its slope."""
+        """Return the view as the lens shows it.
+
+        Depth and ids are those of the nearest pixel; depth follows its slope.
+        """
         depth = self._sampled(view.depth)
         right, down = cv2.split(self._sampled(view.slope))
-        # Inverse depth is linear in the pixel on a plane. The sky's depth is infinite and its slope 0: it stays.
+        # Inverse depth is linear in the pixel on a plane. The sky has infinite depth and slope 0, so it does not
+        # change.
         shift = cv2.add(cv2.multiply(right, self._off_right), cv2.multiply(down, self._off_down))
         moved = cv2.divide(depth, np.maximum(1 - cv2.divide(shift, depth), np.float32(0.5)))
         slope = [
@@ -128,11 +143,14 @@ class Lens:
         )
 
     def _sampled(self, values: NDArray[Any]) -> NDArray[Any]:
-        """The pinhole's image at the nearest pixels."""
+        """Return the pinhole's image at the nearest pixels."""
         return np.asarray(cv2.remap(values, self._nearest, _WHOLE_PIXELS, cv2.INTER_NEAREST))
 
     def _bend_silhouette(self, silhouette: Silhouette) -> Silhouette:
-        """Inside the image by the same warp; beyond it, where only their number counts, pixel by pixel forwards."""
+        """Warp a silhouette: inside the image by the same warp.
+
+        Outside, where only the pixel count matters, forwards by pixel.
+        """
         camera, pinhole = self._camera, self.pinhole
         if not silhouette.mask.any():
             return silhouette
@@ -167,9 +185,9 @@ class Lens:
         return Silhouette(int(low[0]), int(low[1]), mask)
 
     def _surely_sampled(self, silhouette: Silhouette) -> NDArray[np.bool_]:
-        """Pixels of a silhouette that are shown in the image, and have the silhouette all around them.
+        """Return the pixels of a silhouette that are visible in the image and surrounded by the silhouette.
 
-        They need no warp forwards: it keeps them from being the silhouette's outermost.
+        They need no forward warp, because they cannot become its outermost pixels.
         """
         x0, y0, x1, y1 = self._shown
         x, y = silhouette.x, silhouette.y
@@ -181,16 +199,16 @@ class Lens:
         return out
 
     def _sample_silhouette(self, silhouette: Silhouette, x0: int, y0: int, x1: int, y1: int) -> NDArray[np.bool_]:
-        """The silhouette at the source pixels of a window of the image."""
+        """Return the silhouette at the source pixels of a window of the image."""
         at = self._nearest[y0:y1, x0:x1] - np.array([silhouette.x, silhouette.y], dtype=np.int16)
         return np.asarray(cv2.remap(silhouette.mask.view(np.uint8), at, _WHOLE_PIXELS, cv2.INTER_NEAREST)).view(bool)
 
 
 def _window_within(source: Array) -> Window:
-    """A window of the pinhole's image whose pixels the lens all shows.
+    """Return a window of the pinhole's image in which the lens shows every pixel.
 
-    `source` (H, W, 2) is where in the pinhole's image each pixel of the lens is. No edge of the lens' image passes
-    through the window: each of the four lies on its own side of it.
+    `source` (H, W, 2) is the position of each pixel of the lens in the pinhole's image. No edge of the lens image
+    passes through the window: each of its four edges lies on its own side of the window.
     """
     left, top = np.ceil([source[:, 0, 0].max(), source[0, :, 1].max()]).astype(int) + LENS_LIMITS.margin_px
     right, bottom = np.floor([source[:, -1, 0].min(), source[-1, :, 1].min()]).astype(int) - LENS_LIMITS.margin_px
@@ -198,7 +216,7 @@ def _window_within(source: Array) -> Window:
 
 
 class LensDirt:
-    """The dirt of one recording's camera."""
+    """Dirt on the glass of one recording's camera."""
 
     def __init__(self, recording: Recording) -> None:
         amount = recording.conditions.lens_dirt
@@ -206,11 +224,11 @@ class LensDirt:
         if amount > 0:
             size = (recording.camera.width, recording.camera.height)
             cover, through = _dirt(size, amount, recording.rng(Stream.LENS_DIRT))
-            # As bytes, of 255, in all channels: OpenCV multiplies those many times faster than numpy does numbers.
+            # Bytes (0 to 255) in all channels: OpenCV multiplies them much faster than numpy multiplies floats.
             self._sharp, self._soft = (_in_channels(share * through) for share in (1 - cover, cover))
 
     def soil(self, rgb: Pixels) -> Pixels:
-        """The picture (H, W, 3) through the glass."""
+        """Return the image (H, W, 3) through the glass."""
         if self._sharp is None:
             return rgb
         height, width = rgb.shape[:2]
@@ -226,14 +244,14 @@ class LensDirt:
 
 
 def _in_channels(share: NDArray[np.float32]) -> Pixels:
-    """(H, W) shares, 0 to 1 -> (H, W, 3) of 255."""
+    """Convert shares (H, W) from 0 to 1 to bytes (H, W, 3)."""
     return np.ascontiguousarray(np.broadcast_to(np.rint(255 * share)[..., None].astype(np.uint8), (*share.shape, 3)))
 
 
 def _dirt(
     size: tuple[int, int], amount: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(H, W) share of the picture that is out of focus, and (H, W) share of the light that comes through."""
+    """Return two maps (H, W): the share of the image that is out of focus, and the share of the light that passes."""
     width, height = size
     cover, dark = (np.zeros((height, width), dtype=np.float32) for _ in range(2))
     for x, y, big, tall, turn, thick in rng.uniform(0, 1, (rng.poisson(LENS_LIMITS.smears * amount), 6)).tolist():
@@ -244,7 +262,7 @@ def _dirt(
     for x, y, big, thick in rng.uniform(0, 1, (rng.poisson(LENS_LIMITS.specks * amount), 4)).tolist():
         radius = width * (0.001 + 0.004 * big**2)
         dark = np.maximum(dark, _blob(size, (x * width, y * height), (radius, radius), 0.0, 0.6) * thick)
-    # A film over all of it, thicker towards the lower rim, where water runs and dries.
+    # A film covers all of the glass and is thicker towards the lower edge, where water runs and dries.
     film = 0.12 * amount * (0.4 + 0.6 * np.linspace(0, 1, height, dtype=np.float32)[:, None] ** 3)
     cover = np.maximum(np.minimum(LENS_LIMITS.thickest, cover * (0.5 + 0.5 * amount)), film)
     return np.asarray(cover, dtype=np.float32), np.asarray(1 - LENS_LIMITS.darkest * dark, dtype=np.float32)
@@ -253,7 +271,7 @@ def _dirt(
 def _blob(
     size: tuple[int, int], center: tuple[float, float], axes: tuple[float, float], degrees: float, soft: float
 ) -> NDArray[np.float32]:
-    """(H, W) 1 inside an ellipse, falling to 0 over `soft` of its smaller axis."""
+    """Return a map (H, W) that is 1 inside an ellipse and falls to 0 over the share `soft` of its smaller axis."""
     canvas = np.zeros((size[1], size[0]), dtype=np.uint8)
     (x, y), (a, b) = center, axes
     cv2.ellipse(canvas, ((x, y), (2 * a, 2 * b), degrees), 255, -1, cv2.LINE_AA)

@@ -1,5 +1,8 @@
-"""Lamps that are lit: those of traffic lights, drawn over a rendered image; which street lights burn where only a share
-of them do; those of vehicles, where they are on a body and which of them are lit."""
+"""Lit lamps of traffic lights, streets and vehicles.
+
+The module draws traffic lights over a rendered image, selects the street lights that burn if only a share of them does,
+and locates the lamps of vehicles.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,7 +22,7 @@ from skope.pictures.draw import DRAWING_STYLE
 from skope.types import Array
 
 _LAMP_OF_STATE: Final = {"r": 0, "u": 0, "y": 1, "g": 2, "s": 2}
-"""The lamp that each of SUMO's states lights; the others light none."""
+"""The lamp that each SUMO state lights; other states light none."""
 
 
 @dataclass(frozen=True)
@@ -31,9 +34,9 @@ class LampColors:
     radius_m: float = 0.1
     """Radius of a lamp, metres."""
     cable_m: float = 55.0
-    """Street lights this close mostly fail together, because they share a cable, metres."""
+    """Size of the areas in which street lights share a cable, so that they mostly fail together, metres."""
     cable_share: float = 0.65
-    """Share of a lamp's chance of failure that its cable has."""
+    """Share of the cable in a lamp's chance of failure."""
     white: tuple[float, float, float] = (1.0, 0.96, 0.88)
     """Colour of white lamps."""
     red: tuple[float, float, float] = (1.0, 0.06, 0.03)
@@ -41,7 +44,7 @@ class LampColors:
     amber: tuple[float, float, float] = (1.0, 0.45, 0.03)
     """Colour of amber lamps."""
     middle_within_m: float = 0.12
-    """Lamps nearer to the vehicle's middle than this count as one, metres."""
+    """Lamps within this distance of the vehicle's middle count as one, metres."""
 
 
 LAMP_COLORS: Final = LampColors()
@@ -50,14 +53,14 @@ LAMP_COLORS: Final = LampColors()
 def lit_signals(
     camera: Camera, moment: Moment, signals: tuple[Signal, ...]
 ) -> Iterator[tuple[Array, Array, tuple[float, float, float]]]:
-    """Place, direction and colour of the lamps that are lit and turned to the camera."""
+    """Yield position, direction and colour of the lit signal lamps that face the camera."""
     for signal, lamp in _lit_heads(camera, moment, signals):
         red, green, blue = ((value / 255) ** 2.2 for value in LAMP_COLORS.signal_colors[lamp])
         yield signal.lamps[lamp], signal.facing, (red, green, blue)
 
 
 def _lit_heads(camera: Camera, moment: Moment, signals: tuple[Signal, ...]) -> Iterator[tuple[Signal, int]]:
-    """The heads that are turned to the camera, with their lit lamp."""
+    """Yield the signal heads that face the camera, with their lit lamp."""
     for signal in signals:
         lamp = _LAMP_OF_STATE.get(moment.signals[signal.program][signal.link].lower())
         if lamp is not None and (camera.position - signal.lamps[0]) @ signal.facing > 0:
@@ -72,15 +75,15 @@ def light_signals(
     signals: tuple[Signal, ...],
     fine: int = 1,
 ) -> None:
-    """Draw the lamps that are lit, turned to the camera and not hidden.
+    """Draw the signal lamps that are lit, face the camera and are not hidden.
 
     Args:
         rgb: (H * fine, W * fine, 3), changed in place.
         depth: (H, W) metres.
         camera: The image's camera.
-        moment: When it is.
+        moment: The moment to draw.
         signals: The town's traffic lights.
-        fine: Pixels of `rgb` beside each other in one of `depth`.
+        fine: Pixels of `rgb` per pixel of `depth`, on each axis.
     """
     for signal, lamp in _lit_heads(camera, moment, signals):
         pixel, z, valid = camera.project(signal.lamps[lamp])
@@ -109,7 +112,7 @@ def light_signals_linear(
     signals: tuple[Signal, ...],
     radiance: float,
 ) -> None:
-    """Draw the lamps into linear light (H, W, 4), in place, with `radiance` of the brightest channel."""
+    """Draw the signal lamps into linear light (H, W, 4), in place; `radiance` is the value of the brightest channel."""
     if not signals:
         return
     shown = np.zeros((*light.shape[:2], 3), dtype=np.uint8)
@@ -119,9 +122,9 @@ def light_signals_linear(
 
 
 def burning_street_lights(lamps: Array, share: float) -> Array:
-    """The street lights (N, 3) that burn where `share` of them (0 to 1) do: the same ones at every call.
+    """Return the street lights (N, 3) that burn if `share` of them (0 to 1) do; the same lights at every call.
 
-    Those that do not mostly stand beside each other, so that the road between them is dark.
+    Lights that do not burn are mostly neighbours, so that the road between them is dark.
     """
     if share >= 1:
         return lamps
@@ -133,7 +136,7 @@ def burning_street_lights(lamps: Array, share: float) -> Array:
 
 
 def _hashed(at: Array) -> Array:
-    """(N,) numbers in 0..1 that look random, of places (N, 2)."""
+    """Return pseudo-random numbers (N,) in 0..1 that depend on positions (N, 2)."""
     return np.asarray(np.abs(np.sin(at @ [12.9898, 78.233]) * 43758.5453) % 1.0)
 
 
@@ -150,23 +153,23 @@ _LAMP_KINDS: Final = {
     "sign_taxi_red": ("low_beam", LAMP_COLORS.red, 0.15),
     "sign_taxi_green": ("low_beam", (0.06, 1.0, 0.3), 0.15),
 }
-"""Lamps by material: what lights them, their colour, their luminous intensity straight ahead."""
+"""Lamps by material: the switch that lights them, their colour, their luminous intensity straight ahead."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lamp:
     material: str
     center: Array
-    """(3,) in the frame of its part, the vehicle's or its trailer's."""
+    """(3,) position in the frame of its part, which is the vehicle or its trailer."""
     facing: Array
-    """(3,) unit."""
+    """(3,) unit vector of the lamp's direction."""
     part: int = 0
     """Index of its part, see `Body.parts`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lit:
-    """A lamp that is lit, in the world."""
+    """Lit lamp in the world."""
 
     index: int
     """Index of its vehicle in the frame."""
@@ -178,13 +181,13 @@ class Lit:
 
 @lru_cache(maxsize=512)
 def lamps_of(body: Body) -> tuple[Lamp, ...]:
-    """The lamps of a body and its trailer."""
+    """Return the lamps of a body and its trailer."""
     trailer = tuple(_lamps_of(body.trailer.mesh, MODEL_PARTS.trailer_part)) if body.trailer else ()
     return (*_lamps_of(body.mesh, 0), *trailer)
 
 
 def _lamps_of(mesh: Mesh, part_index: int) -> Iterator[Lamp]:
-    """The lamps of a mesh: its triangles of a lamp's material at one end and on one side."""
+    """Yield the lamps of a mesh: its triangles of one lamp material at one end and on one side."""
     for material, part in mesh.by_material().items():
         if material not in _LAMP_KINDS:
             continue
@@ -207,7 +210,7 @@ def has_headlights(body: Body) -> bool:
 
 
 def lit_lamps(moment: Moment) -> Iterator[Lit]:
-    """All lamps that are lit at a moment."""
+    """Yield all lamps that are lit at a moment."""
     for i, (recorded, bits) in enumerate(zip(moment.vehicles, moment.lamps.tolist(), strict=True)):
         if not bits:
             continue

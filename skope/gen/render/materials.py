@@ -1,5 +1,7 @@
-"""Colours of materials, lit: sRGB in 0..1; and the palette of a town's scenery: those colours, those of a season, or
-random ones in random patterns."""
+"""Colours of lit materials, sRGB in 0..1, and the palette of a town's scenery.
+
+A palette has these colours, those of a season, or random colours in random patterns.
+"""
 
 import colorsys
 import math
@@ -40,7 +42,7 @@ MATERIAL_COLORS: Final[dict[str, COLOR_TYPE]] = {
     "field_green": (0.31, 0.36, 0.20),
     "field_ploughed": (0.35, 0.30, 0.25),
     "grass": (0.35, 0.38, 0.24),
-    # walls; patterns go by the ranges "brick" to "brick_painted", "plaster" to "plaster_grey", "stone" to "sandstone"
+    # walls; patterns use the ranges "brick" to "brick_painted", "plaster" to "plaster_grey", "stone" to "sandstone"
     "brick": (0.55, 0.31, 0.24),
     "brick_brown": (0.43, 0.31, 0.25),
     "brick_buff": (0.70, 0.60, 0.44),
@@ -105,7 +107,7 @@ MATERIAL_COLORS: Final[dict[str, COLOR_TYPE]] = {
     "sign_blue": (0.08, 0.24, 0.58),
     "sign_yellow": (0.93, 0.72, 0.10),
     "sign_green": (0.05, 0.36, 0.22),
-    # beside roads at night: "lamp_white" to "lamp_red" burn out to white, "lit_white" to "lit_dim" stay readable
+    # near roads at night: "lamp_white" to "lamp_red" burn out to white, "lit_white" to "lit_dim" stay readable
     "lamp_white": (0.93, 0.92, 0.89),
     "lamp_warm": (0.93, 0.88, 0.76),
     "lamp_amber": (0.90, 0.55, 0.12),
@@ -127,7 +129,7 @@ MATERIAL_COLORS: Final[dict[str, COLOR_TYPE]] = {
     "leaves_pale": (0.38, 0.44, 0.20),
     "hedge": (0.19, 0.26, 0.12),
     "woods": (0.20, 0.27, 0.14),
-    # vehicles; "paint" is the vehicle's own colour, "livery" its second one
+    # vehicles; "paint" is the vehicle's own colour, "livery" its second colour
     "livery": (0.80, 0.80, 0.78),
     "trim": (0.09, 0.09, 0.10),
     "gap": (0.045, 0.045, 0.05),
@@ -172,7 +174,7 @@ MATERIAL_COLORS: Final[dict[str, COLOR_TYPE]] = {
     "cabin_light": (0.70, 0.70, 0.68),
     "driver_skin": (0.62, 0.45, 0.36),
     "driver_clothes": (0.22, 0.26, 0.34),
-    # details of single vehicles; "seam" is a gap between panels, as dark as its share of a pixel far away
+    # details of single vehicles; "seam" is a gap between panels, darkened by its share of a distant pixel
     "plate_yellow": (0.86, 0.70, 0.10),
     "seam": (0.16, 0.16, 0.165),
 }
@@ -211,7 +213,7 @@ MATERIAL_ROUGHNESS: Final[dict[str, float]] = {
     "plate": 0.5,
     "plate_yellow": 0.5,
 }
-"""Roughness of the materials that shine."""
+"""Roughness of glossy materials."""
 
 
 @dataclass(frozen=True)
@@ -221,25 +223,25 @@ class MaterialPatterns:
     brake_light: tuple[float, float, float] = (1.0, 0.16, 0.12)
     """Colour of a lit brake lamp."""
     changed_share: float = 0.85
-    """Share of materials that have a pattern where there are any."""
+    """Share of materials that have a pattern in towns with patterns."""
     sizes_m: tuple[float, float] = (0.15, 6.0)
-    """Range of the size of a pattern, metres."""
+    """Minimum and maximum size of a pattern, metres."""
 
 
 MATERIAL_PATTERNS: Final = MaterialPatterns()
 
 GROUND_MATERIALS: Final = tuple(MATERIAL_COLORS)[: list(MATERIAL_COLORS).index("grass") + 1]
-"""Materials that lie on the ground: the first ones of the table."""
+"""Materials that lie on the ground: the first entries of the table."""
 
 
 def materials_between(first: str, last: str) -> tuple[str, ...]:
-    """Names of the materials from one to another in the order of the table, both included."""
+    """Return the names of the materials from `first` to `last` in the order of the table, both included."""
     order = list(MATERIAL_COLORS)
     return tuple(order[order.index(first) : order.index(last) + 1])
 
 
 def own_color(material: str) -> COLOR_TYPE | None:
-    """The colour of a material that is named by it, such as "#a0b4c8"."""
+    """Return the colour in a material's name, such as "#a0b4c8"; None for a material of the table."""
     if not material.startswith("#"):
         return None
     red, green, blue = (int(material[i : i + 2], 16) / 255 for i in (1, 3, 5))
@@ -248,7 +250,7 @@ def own_color(material: str) -> COLOR_TYPE | None:
 
 @dataclass(frozen=True)
 class Light:
-    """Sun and sky as a renderer without physics needs them."""
+    """Sun and sky for a renderer without a physical light model."""
 
     direction: tuple[float, float, float]
     """Unit vector from the scene to the sun."""
@@ -264,13 +266,13 @@ class Light:
 
     @classmethod
     def of(cls, conditions: Conditions) -> "Light":
-        """Sun and sky under a recording's conditions."""
+        """Return sun and sky under a recording's conditions."""
         light = cls._by_night(conditions) if conditions.sun_elevation_deg < DARK_DEG else cls._by_day(conditions)
         return replace(light, haze_density=-math.log(0.05) / conditions.visibility_m)
 
     @classmethod
     def _by_night(cls, conditions: Conditions) -> "Light":
-        """Even light from above, the bluer and weaker the lower the sun has sunk."""
+        """Return even light from above, bluer and weaker the lower the sun is."""
         share = float(np.clip((DARK_DEG - conditions.sun_elevation_deg) / 12, 0, 1))
         level = 0.62 - 0.26 * share
         tint = (0.92 - 0.1 * share, 0.95 - 0.03 * share, 1.0)
@@ -301,7 +303,7 @@ class Light:
 
 
 def grain(positions: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Uneven brightness (H, W) around 1 at ground positions (H, W, 2), metres: worn and patched surfaces."""
+    """Return the brightness (H, W) around 1 of worn and patched surfaces at ground positions (H, W, 2), metres."""
     import cv2
 
     rng = np.random.default_rng(7)
@@ -316,7 +318,7 @@ def grain(positions: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 class Motif(IntEnum):
-    """Motif of a pattern of two colours; the shaders know them by these numbers."""
+    """Motif of a two-colour pattern; the shaders use these numbers."""
 
     PLAIN = 1
     CHECKS = 2
@@ -328,34 +330,34 @@ class Motif(IntEnum):
 
 @dataclass(frozen=True)
 class Pattern:
-    """A random pattern in place of a material's own colour."""
+    """Random pattern that replaces a material's own colour."""
 
     motif: Motif
     first: COLOR_TYPE
     second: COLOR_TYPE
     size_m: float
-    """Size of a check, a stripe or a spot, metres."""
+    """Size of a check, stripe or spot, metres."""
     turn: float
-    """Its turn, in turns, at least 0 and less than 1."""
+    """Rotation in turns, at least 0 and less than 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Palette:
-    """Colours of materials."""
+    """Colours and patterns of materials."""
 
     colors: Mapping[str, COLOR_TYPE]
     """Colours of all materials, sRGB in 0..1."""
     patterns: Mapping[str, Pattern]
-    """Patterns of some of the scenery's materials; vehicles of the same materials do not have them."""
+    """Patterns of some of the scenery's materials; not used for vehicles of the same materials."""
 
     @classmethod
     def of(cls, town: Town) -> "Palette":
-        """The palette of a town or of its variant."""
+        """Return the palette of a town or of its variant."""
         return _palette(town)
 
     @property
     def plain(self) -> Mapping[str, COLOR_TYPE]:
-        """Colours of the scenery's materials for a renderer without patterns."""
+        """Return the colours of the scenery's materials for a renderer without patterns."""
         return {**self.colors, **{name: pattern.first for name, pattern in self.patterns.items()}}
 
 
@@ -369,7 +371,7 @@ _FURTHER_MATERIALS: Final = (
     *materials_between("frame", "fascia_cream"),
     *materials_between("awning_red", "awning_green"),
 )
-"""Further materials that may have a pattern."""
+"""Other materials that may have a pattern."""
 
 
 @lru_cache(maxsize=64)
@@ -402,7 +404,7 @@ def _drawn_pattern(rng: np.random.Generator) -> Pattern:
 
 
 def _drawn_color(rng: np.random.Generator) -> COLOR_TYPE:
-    """A colour that is more often pale than bright."""
+    """Return a random colour, more often pale than bright."""
     return colorsys.hsv_to_rgb(rng.random(), 0.75 * rng.random() ** 1.5, rng.uniform(0.12, 0.85))
 
 

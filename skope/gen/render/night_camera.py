@@ -1,18 +1,18 @@
-"""The night camera, from the linear light of a night to the picture: metering, two exposures, veiling glare, the curve,
-noise and denoising.
+"""Night camera: from the linear light of a night to the image.
 
-Metering: the camera keeps its shutter and amplifies until the road has the brightness that it aims at, up to the
-greatest gain. The figures are those of a common surveillance sensor: pixels of 4 micrometres behind a lens of F1.2
-count about 20,000 electrons for each second at 1 cd/m2, and hold 15,000 (EMVA 1288 data of 1/1.8 inch sensors,
-rounded).
+The steps are metering, two exposures, veiling glare, the tone curve, noise and denoising.
 
-Noise: its variance in electrons is the signal's own plus the reading's (EMVA 1288). Cameras average it over frames and
-smooth it within areas between edges (Tomasi and Manduchi, Bilateral filtering, 1998). That takes the road's texture
-away and leaves blotches of noise a few pixels wide.
+Metering: the camera keeps its shutter and amplifies until the road has the target brightness, up to the maximum gain.
+The figures are those of a common surveillance sensor. Pixels of 4 micrometres behind a lens of F1.2 count about 20,000
+electrons per second at 1 cd/m2, and hold 15,000 (EMVA 1288 data of 1/1.8 inch sensors, rounded).
 
-Veiling glare: lens and sensor spread light around lamps, by a point-spread function on linear light before it is
-clipped. It is a sum of Gaussians: scatter in the lens and reflections between its faces leave a narrow core and long
-tails (McCann and Rizzi, The Art and Science of HDR Imaging, 2011, ch. 11). Blue light spreads most and green least, as
+Noise: its variance in electrons is that of the signal plus that of the readout (EMVA 1288). Cameras average it over
+frames and smooth it within areas between edges (Tomasi and Manduchi, Bilateral filtering, 1998). That removes the
+texture of the road and leaves blotches of noise a few pixels wide.
+
+Veiling glare: lens and sensor spread light around lamps. It is a point-spread function on linear light before clipping,
+modelled as a sum of Gaussians. Scatter in the lens and reflections between its faces leave a narrow core and long tails
+(McCann and Rizzi, The Art and Science of HDR Imaging, 2011, ch. 11). Blue light spreads most and green least, as
 lateral and axial colour errors show around small lamps.
 """
 
@@ -34,53 +34,52 @@ class NightSensor:
     """Sensor, exposure, noise and glare of the camera at night."""
 
     candela_per_unit: float = 200.0
-    """Luminance at night of a radiance of 1 in the renderer's units, cd/m2: street lights then give 5 to 25 lux."""
+    """Luminance of a radiance of 1 in the renderer's units at night, cd/m2. Street lights then give 5 to 25 lux."""
     day_units: float = 50.0
-    """How many times more luminance a radiance of 1 means by day (a sun of 100,000 lux has 10)."""
+    """Ratio of the luminance of a radiance of 1 by day to that at night (a sun of 100,000 lux has a radiance of 10)."""
     road_level: float = 0.12
-    """Light, where the sensor's range ends at 1, that the road is exposed to at 0 EV: 112 of 255 after the curve."""
+    """Target light of the road at 0 EV, as a share of the sensor's range: 112 of 255 after the tone curve."""
     electrons_per_candela_second: float = 20_000.0
     """Electrons of a pixel per cd/m2 and second."""
     full_well_electrons: float = 15_000.0
-    """Electrons of a full pixel."""
+    """Full-well capacity of a pixel, electrons."""
     short_exposure_range: float = 16.0
-    """Ratio of the light that the short exposure takes to that of the long one."""
+    """Ratio of the range of the short exposure to that of the long exposure."""
     single_exposure_range: float = 6.0
-    """The same for the whole range of a camera that takes one exposure: its curve rolls off to white there."""
+    """Range of a camera that takes one exposure, in the same unit. Its curve rolls off to white there."""
     balance_limits: tuple[float, float] = (0.5, 2.0)
-    """Least and greatest factor of the white balance: cameras leave a part of sodium lamps' colour."""
+    """Minimum and maximum factor of the white balance. Cameras keep a part of the colour of sodium lamps."""
     metered_from: float = 1 / 3
-    """Share of the rows above the part that is metered."""
+    """Share of the image rows above the part that is metered."""
     lamps_from: float = 0.95
-    """Pixels brighter than this share of the others are lamps, which the metering leaves out."""
+    """Quantile of luminance above which pixels count as lamps, which the metering ignores."""
     read_electrons: float = 2.5
     """Read noise, electrons."""
     usual_noise: float = 1.75
-    """`Conditions.noise` of a usual sensor: others have more or less than the electrons say."""
+    """`Conditions.noise` of a typical sensor. Other values scale the noise that follows from the electrons."""
     over_frames: float = 0.96
-    """Share of the frames before in the average of the strongest denoising."""
+    """Weight of earlier frames in the temporal average at the strongest denoising."""
     edge_deviations: float = 4.0
-    """Differences of this many standard deviations of the noise are edges, which smoothing keeps."""
+    """Edge threshold of the smoothing, standard deviations of the noise."""
     least_edge: float = 32.0
-    """Differences from which on they are edges for the strongest denoising, of 255, where noise is low."""
+    """Minimum edge threshold at the strongest denoising, grey levels (0 to 255). Used if the noise is low."""
     smoothed_px: tuple[int, float] = (9, 4.0)
-    """Width of the window within which areas are smoothed, and the standard deviation, in pixels of half the
-    resolution."""
+    """Width of the smoothing window, and its standard deviation, pixels of half the resolution."""
     detail_share: float = 0.5
-    """Finer differences than those of half the resolution are taken away up to this share of the least edge."""
+    """Details finer than half the resolution are removed up to this share of the edge threshold."""
     blotches_px: float = 1.0
-    """Standard deviation of the Gaussian that gives the noise that is left its blotches, pixels."""
+    """Standard deviation of the Gaussian that turns the residual noise into blotches, pixels."""
     spreads_px: tuple[float, ...] = (1.2, 3.0, 7.0, 16.0, 45.0)
-    """Standard deviations of the point-spread function in an image 1920 pixels wide."""
+    """Standard deviations of the point-spread function in an image that is 1920 pixels wide, pixels."""
     dirt_share: float = 0.02
-    """Share of light that the dirtiest glass spreads widest."""
+    """Share of light that the dirtiest glass adds to the widest Gaussian."""
     fog_share: float = 0.12
-    """Share of light that fog spreads over the two widest, at a visibility of `fog_m`."""
+    """Share of light that fog spreads over the two widest Gaussians, at a visibility of `fog_m`."""
     fog_m: float = 200.0
     curve_steps: int = 4096
     """Entries of the tone curve."""
     brightest_light: float = 1.0 + short_exposure_range
-    """Light at which the curve's table ends; the picture is white long before."""
+    """Light at which the table of the curve ends; the image is white well below it."""
 
 
 NIGHT_SENSOR: Final = NightSensor()
@@ -88,10 +87,10 @@ NIGHT_SENSOR: Final = NightSensor()
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """How the camera exposes a scene."""
+    """Exposure of a scene by the camera."""
 
     gains: Array
-    """(3,) factors on the light of each channel, after which the range of the long exposure ends at 1."""
+    """(3,) factor on the light of each channel, after which the range of the long exposure ends at 1."""
     electrons: float
     """Electrons that a pixel counts at a light of 1."""
     short_share: float
@@ -99,12 +98,12 @@ class Exposure:
 
     @property
     def full(self) -> float:
-        """Light, after `gains`, at which the long exposure is full."""
+        """Light, after `gains`, at which the long exposure saturates."""
         return 1.0 if self.short_share else NIGHT_SENSOR.single_exposure_range
 
     @property
     def uniforms(self) -> dict[str, Any]:
-        """Values for composite.frag.glsl, which works on the light before `gains`."""
+        """Return the uniforms of composite.frag.glsl, which works on the light before `gains`."""
         return {
             "u_full": self.full / float(self.gains.mean()),
             "u_short": (self.short_share, NIGHT_SENSOR.short_exposure_range),
@@ -129,7 +128,7 @@ def metered(
     road = pixels[luminance <= np.quantile(luminance, NIGHT_SENSOR.lamps_from)]
     level = max(float(np.median(road.mean(axis=1))), 1e-6)
     wanted = NIGHT_SENSOR.road_level * 2**conditions.exposure_ev / level
-    # Electrons for each unit of light, and with them the gain that `wanted` takes.
+    # Electrons per unit of light, from which the gain for `wanted` follows.
     electrons = (
         NIGHT_SENSOR.candela_per_unit
         / daylight.exposure.mean()
@@ -144,13 +143,15 @@ def metered(
 
 
 def noise_by_value(conditions: Conditions, exposure: Exposure, light: Array, shown: Array) -> NDArray[np.float32]:
-    """(256,) standard deviation of the noise at each value of a picture, of 255, after averaging over frames.
+    """Return the standard deviation (256,) of the noise at each pixel value, after averaging over frames.
+
+    The unit is grey levels (0 to 255).
 
     Args:
         conditions: `noise` and `denoising` are used.
-        exposure: How the picture is exposed.
-        light: (N,) rising amounts of light after the exposure's gains.
-        shown: (N,) values from 0 to 1 that the camera's curve shows them as.
+        exposure: Exposure of the image.
+        light: (N,) increasing amounts of light after the exposure's gains.
+        shown: (N,) output of the camera's curve for `light`, 0 to 1.
     """
     rise = np.gradient(shown, light)
     electrons = light * exposure.electrons
@@ -161,9 +162,10 @@ def noise_by_value(conditions: Conditions, exposure: Exposure, light: Array, sho
 
 
 def denoised(rgb: Pixels, noise: NDArray[np.float32], conditions: Conditions) -> Pixels:
-    """The picture (H, W, 3) without noise, smoothed between edges; `noise` is that of `noise_by_value`.
+    """Return the image (H, W, 3) without noise, smoothed between edges.
 
-    It is smoothed at half its resolution. Pixels that differ from that by more than a threshold stay as they are.
+    The image is smoothed at half its resolution. Pixels that differ from the result by more than a threshold stay as
+    they are. `noise` is the table of `noise_by_value`.
     """
     if conditions.denoising <= 0:
         return rgb
@@ -180,19 +182,19 @@ def denoised(rgb: Pixels, noise: NDArray[np.float32], conditions: Conditions) ->
 
 
 _SPREAD_SHARES: Final = np.array([0.010, 0.010, 0.008, 0.0025, 0.0008])
-"""Share of a lamp's light in each, for a glare of 1. Equal shares would fall off with the
-square of the distance; these fall off faster beyond 15 pixels."""
+"""Share of a lamp's light in each Gaussian, for a glare of 1. Equal shares would fall off with the square of the
+distance; these fall off faster beyond 15 pixels."""
 _SPREAD_COLORS: Final = np.array(
     [[1.0, 0.95, 1.1], [1.0, 0.9, 1.25], [1.0, 0.88, 1.35], [1.0, 0.9, 1.2], [1.0, 1.0, 1.0]], dtype=np.float32
 )
-"""(5, 3) factors on red, green and blue."""
+"""(5, 3) factors of each Gaussian on red, green and blue."""
 
 
 class VeilingGlare:
-    """Spreads light beyond what pixels hold."""
+    """Spreads the light that exceeds the capacity of pixels."""
 
     def __init__(self, width: int, conditions: Conditions) -> None:
-        """`width` is the image's, pixels."""
+        """Set the shares of light; `width` is that of the image, pixels."""
         self._scale = width / 1920
         fog = NIGHT_SENSOR.fog_share * min(NIGHT_SENSOR.fog_m / conditions.visibility_m, 1.0)
         self._shares = conditions.glare * _SPREAD_SHARES
@@ -200,10 +202,10 @@ class VeilingGlare:
         self._shares[-1] += NIGHT_SENSOR.dirt_share * conditions.lens_dirt
 
     def spread(self, excess: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]] | None:
-        """Three planes (H, W) of light that is added everywhere; None where there is none to spread.
+        """Return three planes (H, W) of light to add to the image; None if there is none to spread.
 
         Args:
-            excess: Three planes (H, W), red, green and blue, of the light beyond what pixels hold.
+            excess: Three planes (H, W), red, green and blue, of the light that exceeds the capacity of pixels.
         """
         height, width = excess[0].shape
         size = (-(-width // 2), -(-height // 2))
@@ -213,7 +215,7 @@ class VeilingGlare:
         total = np.zeros((size[1], size[0], 3), dtype=np.float32)
         for spread_px, share, color in zip(NIGHT_SENSOR.spreads_px, self._shares, _SPREAD_COLORS, strict=True):
             sigma = spread_px * self._scale / 2
-            # The wider it is, the coarser the grid that it is worked out on.
+            # A wider Gaussian is computed on a coarser grid.
             step = max(1, 2 ** int(np.log2(max(sigma / 2, 1.0))))
             coarse = (max(1, size[0] // step), max(1, size[1] // step))
             small = half if step == 1 else cv2.resize(half, coarse, interpolation=cv2.INTER_AREA)
@@ -226,7 +228,7 @@ class VeilingGlare:
 
 
 class NightCamera:
-    """A recording's camera, which meters the scenery once and develops each frame alike."""
+    """A recording's camera, which meters the scenery once and develops all frames with that exposure."""
 
     def __init__(
         self,
@@ -235,7 +237,14 @@ class NightCamera:
         conditions: Conditions,
         daylight: Daylight,
     ) -> None:
-        """`light` (H, W, 3) is the scenery's linear light without vehicles, `depth` (H, W) its depth, metres."""
+        """Meter the scenery.
+
+        Args:
+            light: (H, W, 3) linear light of the scenery without vehicles.
+            depth: (H, W) its depth, metres.
+            conditions: Conditions of the recording.
+            daylight: The light of the recording.
+        """
         self.exposure = metered(light, depth, conditions, daylight)
         self._glare = VeilingGlare(light.shape[1], conditions)
         self._gains = np.append(self.exposure.gains, self.exposure.gains.mean()).astype(np.float32)
@@ -245,7 +254,7 @@ class NightCamera:
         shown = curve(steps)
         self._table = np.rint(255 * shown).astype(np.uint8)
         self.noise = noise_by_value(conditions, self.exposure, steps, shown)
-        """(256,) standard deviation of the noise at each value of the picture, of 255."""
+        """(256,) standard deviation of the noise at each pixel value, grey levels (0 to 255)."""
 
     @property
     def gain(self) -> float:
@@ -254,26 +263,26 @@ class NightCamera:
 
     @property
     def uniforms(self) -> dict[str, Any]:
-        """Values for composite.frag.glsl."""
+        """Return the uniforms of composite.frag.glsl."""
         return self.exposure.uniforms
 
     def without_glare(self, picture: NDArray[np.float32]) -> Pixels:
-        """(h, w, 3) what a part of the picture shows without veiling glare; see `develop`."""
+        """Return a part (h, w, 3) of the image without veiling glare; see `develop`."""
         *light, full = self._exposed(picture)
         return _merged([self._shown(np.minimum(one, full)) for one in light])
 
     def develop(self, picture: NDArray[np.float32]) -> Pixels:
-        """(H, W, 3) the picture of a frame.
+        """Return the developed image (H, W, 3) of a frame.
 
         Args:
-            picture: (H, W, 4) linear light of the blended exposures, and the light at which their blend is full.
+            picture: (H, W, 4) linear light of the blended exposures, and the light at which their blend saturates.
         """
         *light, full = self._exposed(picture)
         kept = [np.minimum(one, full) for one in light]
         veil = self._glare.spread([one - part for one, part in zip(light, kept, strict=True)])
         if veil is None:
             return _merged([self._shown(part) for part in kept])
-        # What it adds to each exposure ends where that is full.
+        # The added light of each exposure ends where the exposure saturates.
         share, shown = self.exposure.short_share, []
         for part, more in zip(kept, veil, strict=True):
             room = np.maximum(np.float32(self.exposure.full) - part, 0)
@@ -284,12 +293,12 @@ class NightCamera:
         return _merged(shown)
 
     def _exposed(self, picture: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-        """The four planes of a picture after the camera's gains: OpenCV and numpy are fastest plane by plane."""
+        """Return the four planes of an image after the camera's gains; OpenCV and numpy are fastest plane by plane."""
         planes = cv2.split(np.ascontiguousarray(picture))
         return [np.asarray(plane) * gain for plane, gain in zip(planes, self._gains, strict=True)]
 
     def _shown(self, light: NDArray[np.float32]) -> Pixels:
-        """(h, w) values of a plane of light."""
+        """Return the pixel values (h, w) of a plane of light."""
         steps = np.asarray(
             cv2.sqrt(light * np.float32((NIGHT_SENSOR.curve_steps - 1) ** 2 / NIGHT_SENSOR.brightest_light))
         )
@@ -301,6 +310,6 @@ def _merged(planes: Sequence[Pixels]) -> Pixels:
 
 
 def curve(light: Array) -> Array:
-    """Values from 0 to 1 of a picture: Narkowicz' fit of the ACES filmic curve, then sRGB's, as display.glsl has it."""
+    """Return output values from 0 to 1: Narkowicz' fit of the ACES filmic curve, then sRGB's, as in display.glsl."""
     film = np.clip(light * (2.51 * light + 0.03) / (light * (2.43 * light + 0.59) + 0.14), 0, 1)
     return np.asarray(np.where(film <= 0.0031308, 12.92 * film, 1.055 * film ** (1 / 2.4) - 0.055))

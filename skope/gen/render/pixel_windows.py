@@ -16,7 +16,7 @@ from skope.pictures.draw import DRAWING_STYLE
 from skope.types import Array
 
 Window = tuple[int, int, int, int]
-"""Columns and rows x0, y0, x1, y1 of the image; may go beyond it."""
+"""Columns and rows x0, y0, x1, y1 of the image; may extend beyond it."""
 
 
 @dataclass(frozen=True)
@@ -26,19 +26,22 @@ class WindowLimits:
     clip_depth_m: float = 0.3
     """Silhouettes are clipped at this depth, metres."""
     tile_px: int = 8
-    """Side of a tile, pixels; what changes in a frame is drawn in whole tiles."""
+    """Side of a tile, pixels. The changed parts of a frame are drawn in whole tiles."""
     outside_box_m: float = 1.0
-    """No part of a vehicle, be it a mirror or a sign, is farther outside the box of its dimensions than this,
+    """Maximum distance of any part of a vehicle, such as a mirror or a sign, outside the box of its dimensions,
     metres."""
     contact_m: float = 1.8
-    """Distance around itself within which a vehicle takes sky from the road, metres."""
+    """Distance around a vehicle within which it hides sky from the road, metres."""
 
 
 WINDOW_LIMITS: Final = WindowLimits()
 
 
 def window_of(hull: Array, camera: Camera) -> Window | None:
-    """Pixels that a vehicle of a hull may cover, within the canvas; None when none of them is in the image."""
+    """Return the pixels that a vehicle with this hull may cover, within the canvas.
+
+    None if none of them is in the image.
+    """
     if not len(hull):
         return None
     width, height = camera.width, camera.height
@@ -51,18 +54,18 @@ def window_of(hull: Array, camera: Camera) -> Window | None:
 
 
 def hull_of(vehicle: Body, T_world_parts: Array, camera: Camera) -> Array:
-    """(N, 2) convex polygon around the pixels that a vehicle may cover; may be empty.
+    """Return a convex polygon (N, 2) around the pixels that a vehicle may cover; may be empty.
 
     Args:
         vehicle: The vehicle.
         T_world_parts: (8, 4, 4) poses of its parts (see `Moment.part_poses`).
-        camera: What it is seen by.
+        camera: The image's camera.
     """
     return _projected_hull(_corners_world(_box_corners(vehicle), T_world_parts), camera)
 
 
 def may_be_seen(vehicle: Body, T_world_parts: Array, camera: Camera) -> bool:
-    """Whether the image may show a vehicle, by its dimensions alone: `window_of` is None where it may not.
+    """Return whether the image may show a vehicle, from its dimensions only. If not, `window_of` returns None.
 
     Args:
         vehicle: The body.
@@ -84,9 +87,9 @@ def may_be_seen(vehicle: Body, T_world_parts: Array, camera: Camera) -> bool:
 
 
 def shadow_hull_of(vehicle: Body, T_world_parts: Array, camera: Camera, sun_direction: Array) -> Array:
-    """(N, 2) convex polygon around the pixels that a vehicle may cover or take light from.
+    """Return a convex polygon (N, 2) around the pixels that a vehicle may cover or shade.
 
-    Shadows are followed for 25 m at most.
+    Shadows are followed for at most 25 m.
 
     Args:
         vehicle: The body.
@@ -103,7 +106,7 @@ def shadow_hull_of(vehicle: Body, T_world_parts: Array, camera: Camera, sun_dire
 
 
 def _around(corners: Array) -> Array:
-    """(8, 3) corners of the ground that what lies in a box takes sky from."""
+    """Return the corners (8, 3) of the region of ground in which the contents of a box may hide sky."""
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2 * [1, 0, 0]
     return np.asarray(
         corners * [1, 1, 0] + np.sign(corners - middle) * [WINDOW_LIMITS.contact_m, WINDOW_LIMITS.contact_m, 0]
@@ -111,18 +114,21 @@ def _around(corners: Array) -> Array:
 
 
 def beam_corners(reach: float) -> Array:
-    """(4, 2) corners of the ground that lamps may light up to `reach` ahead of the bumper, behind it if negative."""
+    """Return the corners (4, 2) of the ground that lamps may light.
+
+    `reach` is the distance ahead of the bumper, metres; negative: behind it.
+    """
     return np.array([[0.0, -4.0], [reach, -14.0], [reach, 14.0], [0.0, 4.0]])
 
 
 def beam_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, reach: float) -> Array:
-    """(N, 2) convex polygon around the pixels of road, and of what stands on it, that headlights may light.
+    """Return a convex polygon (N, 2) around the pixels of road, and of objects on it, that headlights may light.
 
     Args:
         vehicle: The body.
         T_world_chassis: (4, 4) its pose, metres.
         camera: The image's camera.
-        reach: How far the lamps reach ahead of the bumper, metres; negative: behind the rear one.
+        reach: Reach of the lamps ahead of the front bumper, metres; negative: behind the rear bumper.
     """
     ahead = beam_corners(reach) + [np.copysign(vehicle.size_lwh[0] / 2, reach), 0]
     points = np.concatenate([np.column_stack([ahead, np.full(4, z)]) for z in (0.0, 1.5)])
@@ -130,7 +136,7 @@ def beam_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, reach: f
 
 
 def mirror_hull_of(vehicle: Body, T_world_parts: Array, camera: Camera, mirror: Array) -> Array:
-    """(N, 2) convex polygon around the pixels that a vehicle may cover in a mirror.
+    """Return a convex polygon (N, 2) around the pixels that a vehicle may cover in a mirror.
 
     Args:
         vehicle: The body.
@@ -143,19 +149,22 @@ def mirror_hull_of(vehicle: Body, T_world_parts: Array, camera: Camera, mirror: 
 
 
 def tiles(hulls: Iterable[Array], size: tuple[int, int]) -> NDArray[np.bool_]:
-    """(rows, columns) the tiles of an image of `size` (width, height) that polygons touch, and some beside them."""
+    """Return a mask (rows, columns) of the tiles that polygons touch, and some neighbours.
+
+    `size` is the width and height of the image, pixels.
+    """
     columns, rows = (-(-side // WINDOW_LIMITS.tile_px) for side in size)
     touched = np.zeros((rows, columns), dtype=np.uint8)
     for hull in hulls:
         if len(hull):
             corners = np.rint((hull / WINDOW_LIMITS.tile_px - 0.5) * 2**DRAWING_STYLE.subpixel_bits).astype(np.int32)
             cv2.fillConvexPoly(touched, corners, 1, shift=DRAWING_STYLE.subpixel_bits)
-    # What is filled has its centre in a polygon or lies on its edge.
+    # Filled tiles have their centre in a polygon or lie on its edge; the dilation adds their neighbours.
     return np.asarray(cv2.dilate(touched, np.ones((3, 3), dtype=np.uint8)) > 0)
 
 
 def tile_runs(touched: NDArray[np.bool_], size: tuple[int, int]) -> list[Window]:
-    """Tiles of an image of `size` (width, height), neighbours in a row put together."""
+    """Return windows of the touched tiles of an image of `size` (width, height), with neighbours in a row merged."""
     edges = np.diff(np.pad(touched, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     rows, first = np.nonzero(edges == 1)
     _, end = np.nonzero(edges == -1)
@@ -167,7 +176,7 @@ def tile_runs(touched: NDArray[np.bool_], size: tuple[int, int]) -> list[Window]
 
 
 def tile_mask(touched: NDArray[np.bool_], window: Window) -> NDArray[np.uint8]:
-    """(h, w) 1 where the pixels of a window, which begins with a tile, are in one of the tiles, else 0."""
+    """Return a mask (h, w): 1 for pixels in a touched tile, else 0. The window begins at the corner of a tile."""
     x0, y0, x1, y1 = window
     there = touched[
         y0 // WINDOW_LIMITS.tile_px : -(-y1 // WINDOW_LIMITS.tile_px),
@@ -179,18 +188,18 @@ def tile_mask(touched: NDArray[np.bool_], window: Window) -> NDArray[np.uint8]:
 
 
 def crossing(a: Window, b: Window) -> bool:
-    """Whether two windows share pixels."""
+    """Return whether two windows share pixels."""
     return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
 def inside_image(window: Window, camera: Camera) -> Window:
-    """The part of a window that lies in the image."""
+    """Return the part of a window that lies in the image."""
     x0, y0, x1, y1 = window
     return max(x0, 0), max(y0, 0), min(x1, camera.width), min(y1, camera.height)
 
 
 def union(windows: Sequence[Window]) -> Window:
-    """The smallest window around windows, of which there is at least one."""
+    """Return the smallest window that contains all windows, at least one."""
     x0, y0, x1, y1 = zip(*windows, strict=True)
     return min(x0), min(y0), max(x1), max(y1)
 
@@ -203,15 +212,17 @@ def _projected_hull(points_world: Array, camera: Camera) -> Array:
 
 
 def _project(points_world: Array, camera: Camera) -> Array:
-    """(N, 2) pixels around what of the points' hull lies before the camera."""
+    """Return pixels (N, 2) around the part of the points' hull that lies before the camera."""
     p = _in_front(camera.to_camera(points_world))
     return np.asarray(p[:, :2] / p[:, 2:] * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2])
 
 
 @lru_cache(maxsize=256)
 def _box_corners(vehicle: Body) -> list[Array]:
-    """(8, 3) corners of the box around a vehicle with its mirrors and steered wheels, and of that around its trailer,
-    each in the frame of its part."""
+    """Return the corners (8, 3) of the boxes around a vehicle and its trailer, with mirrors and steered wheels.
+
+    Each box is in the frame of its part.
+    """
     boxes = []
     for extent in (vehicle.extent, *([vehicle.trailer.extent] if vehicle.trailer else [])):
         low, high = extent.copy()
@@ -221,18 +232,18 @@ def _box_corners(vehicle: Body) -> list[Array]:
 
 
 def _corners_world(corners: Sequence[Array], T_world_parts: Array) -> Array:
-    """(N, 3) world points of a vehicle's body, and of its trailer where there are two arrays of points."""
+    """Return world points (N, 3) of a vehicle's body, and of its trailer if `corners` has two arrays."""
     poses = T_world_parts[[0, MODEL_PARTS.trailer_part]]
     return np.concatenate([p @ T[:3, :3].T + T[:3, 3] for p, T in zip(corners, poses, strict=False)])
 
 
 def _corners_between(low: Array, high: Array) -> Array:
-    """(8, 3) corners of the box between two of them."""
+    """Return the corners (8, 3) of the box between two opposite corners."""
     return np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
 
 
 def _in_front(corners: Array) -> Array:
-    """Points (N, 3) in the camera frame -> points whose hull is the part of theirs that lies beyond the near plane."""
+    """Return points around the part beyond the near plane of the hull of `corners` (N, 3), camera frame."""
     before = corners[:, 2] >= WINDOW_LIMITS.clip_depth_m
     if before.all():
         return corners

@@ -1,5 +1,8 @@
-"""Rain and falling snow as a camera sees them: streaks in the air and drops on its glass, small soft flakes far away
-and large blurred ones near."""
+"""Rain and falling snow in camera images.
+
+Rain shows as streaks in the air and drops on the glass. Snow shows as small soft flakes far away and large blurred ones
+nearby.
+"""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,14 +19,14 @@ from skope.types import Pixels
 
 @dataclass(frozen=True)
 class FallingWater:
-    """Rain, drops on the glass and snow."""
+    """Settings of rain, drops on the glass and snow."""
 
     field_sizes: float = 1.25
-    """Size of the field that what falls is drawn on, in sizes of the image; each frame shows a window of it."""
+    """Size of the field with streaks or flakes, in sizes of the image. Each frame shows a window of it."""
     streaks: int = 12000
     """Number of streaks in the field of a 1920x1080 image, in rain of 10 mm/h."""
     exposures_s: tuple[float, float] = (0.012, 0.025)
-    """Streaks are as long as in exposures within this range, seconds: cameras expose longer in rain."""
+    """Minimum and maximum exposure time for the length of streaks, seconds. Cameras expose longer in rain."""
     drop_count: int = 9
     """Mean number of drops on the glass, in rain of 10 mm/h."""
     drop_stays_s: float = 6.0
@@ -33,7 +36,7 @@ class FallingWater:
     fall_mps: float = 1.3
     """Speed at which flakes fall, m/s."""
     flake_focal_px: float = 1100.0
-    """Focal length of the lens that flakes are sized by, pixels of an image 1920 wide."""
+    """Focal length for the size of flakes, pixels of an image that is 1920 pixels wide."""
     flake_size_m: float = 0.013
     """Size of a typical flake, metres."""
     nearest_m: float = 0.8
@@ -46,7 +49,7 @@ FALLING_WATER: Final = FallingWater()
 
 
 class Rain:
-    """The rain of one recording."""
+    """Rain of one recording."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
@@ -58,14 +61,14 @@ class Rain:
             self._streaks = _streak_field(size, round(self._rate, 3), float(rng.uniform(-0.25, 0.25)), shutter)
 
     def fall(self, rgb: Pixels, frame: int) -> Pixels:
-        """The picture (H, W, 3) of a frame with rain."""
+        """Return the image (H, W, 3) of a frame with rain."""
         if self._rate <= 0:
             return rgb
         rng = self._recording.rng(Stream.RAIN_IN_FRAME, frame)
         return self._put_drops_on_glass(fallen(rgb, self._streaks, rng), frame)
 
     def _put_drops_on_glass(self, rgb: Pixels, frame: int) -> Pixels:
-        """Drops on the glass show the street upside down, out of focus and small."""
+        """Draw drops on the glass, which show the street upside down, out of focus and small."""
         time = float(self._recording.times_s[frame])
         rng = self._recording.rng(Stream.DROPS_ON_GLASS)
         span = float(self._recording.times_s[-1]) + 2 * FALLING_WATER.drop_stays_s
@@ -86,12 +89,15 @@ class Rain:
 
 
 def fallen(rgb: Pixels, field: Pixels, rng: np.random.Generator) -> Pixels:
-    """The picture (H, W, 3) with what falls before it: a window, which `rng` draws, of a larger grey field (H', W')."""
+    """Return the image (H, W, 3) with streaks or flakes in front of it.
+
+    `rng` draws a window of `field` (H', W'), a larger grey image.
+    """
     height, width = rgb.shape[:2]
     rows, columns = field.shape
     y, x = int(rng.integers(rows - height + 1)), int(rng.integers(columns - width + 1))
     window = field[y : y + height, x : x + width]
-    # Drops show the light around them, which stands out before what is neither bright itself nor in the dark.
+    # Drops show the light around them. They stand out in front of areas that are neither bright nor dark.
     small = cv2.cvtColor(smaller(rgb, 16), cv2.COLOR_RGB2GRAY)
     around = cv2.GaussianBlur(small, (0, 0), 0.05 * small.shape[1]) / np.float32(255)
     light = cv2.resize((6 + 460 * around * (1 - around)).astype(np.uint8), (width, height))
@@ -101,13 +107,13 @@ def fallen(rgb: Pixels, field: Pixels, rng: np.random.Generator) -> Pixels:
 
 @lru_cache(maxsize=2)
 def _streak_field(size: tuple[int, int], rate: float, slant: float, shutter: float) -> Pixels:
-    """A field of streaks, from long faint ones of drops near the camera to short ones far away."""
+    """Return a field of streaks, from long faint ones near the camera to short ones far away."""
     width, height = (round(FALLING_WATER.field_sizes * side) for side in size)
     scale = size[0] / 1920
     rng = np.random.default_rng(17)
     count = int(FALLING_WATER.streaks * (rate / 10) ** 0.6)
     field: NDArray[Any] = np.zeros((height, width), dtype=np.uint8)
-    # How near: most of what falls is far away.
+    # Closeness: most streaks are far away.
     near = rng.uniform(0, 1, count) ** 3
     # Drops fall at about 8 m/s, seen by a lens of 672 pixels' focal length from 1.5 to 12 m.
     length = np.clip(8.0 * shutter * 672 / (12 - 10.5 * near), 4, 140) * scale
@@ -132,13 +138,13 @@ def _out_of_focus(rgb: Pixels) -> Pixels:
 
 
 def smaller(rgb: Pixels, times: int) -> Pixels:
-    """A picture (H, W, 3) at a fraction of its width and height."""
+    """Return an image (H, W, 3) with its width and height divided by `times`."""
     size = (max(rgb.shape[1] // times, 1), max(rgb.shape[0] // times, 1))
     return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _draw_drop(rgb: Pixels, soft: Pixels, center: tuple[float, float], radius: float, tall: float) -> None:
-    """Draw one drop into the picture."""
+    """Draw one drop into the image."""
     height, width = rgb.shape[:2]
     cx, cy = center
     x0, x1 = max(int(cx - radius - 2), 0), min(int(cx + radius + 3), width)
@@ -148,7 +154,7 @@ def _draw_drop(rgb: Pixels, soft: Pixels, center: tuple[float, float], radius: f
     x, y = np.meshgrid(np.arange(x0, x1, dtype=np.float32), np.arange(y0, y1, dtype=np.float32))
     dx, dy = (x - cx) / radius, (y - cy) / (tall * radius)
     away = np.sqrt(dx * dx + dy * dy)
-    # A lens of short focus: the rim shows what lies far off on the other side.
+    # A lens of short focal length: its rim shows objects far away on the other side.
     reach = 0.16 * width * away
     columns = np.clip(cx - dx * reach, 0, width - 1) / 8
     rows = np.clip(cy - dy * reach, 0, height - 1) / 8
@@ -160,7 +166,7 @@ def _draw_drop(rgb: Pixels, soft: Pixels, center: tuple[float, float], radius: f
 
 
 class Snowfall:
-    """The falling snow of one recording."""
+    """Falling snow of one recording."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
@@ -172,7 +178,7 @@ class Snowfall:
             self._field = _flake_field((camera.width, camera.height), round(conditions.snowfall_mm_h, 3), wind, shutter)
 
     def fall(self, rgb: Pixels, frame: int) -> Pixels:
-        """The picture (H, W, 3) of a frame with falling snow."""
+        """Return the image (H, W, 3) of a frame with falling snow."""
         if self._field is None:
             return rgb
         return fallen(rgb, self._field, self._recording.rng(Stream.RAIN_IN_FRAME, frame))
@@ -180,12 +186,12 @@ class Snowfall:
 
 @lru_cache(maxsize=2)
 def _flake_field(size: tuple[int, int], rate: float, wind: float, shutter: float) -> Pixels:
-    """A field of flakes, each as long as it moves while the shutter is open."""
+    """Return a field of flakes, each as long as its motion during the exposure."""
     width, height = (round(FALLING_WATER.field_sizes * side) for side in size)
     scale = size[0] / 1920
     rng = np.random.default_rng(19)
     count = int(FALLING_WATER.flakes * rate**0.7)
-    # Evenly in the volume before the camera: few are near.
+    # Uniform in the volume before the camera: few flakes are near.
     away = (rng.uniform(FALLING_WATER.nearest_m**3, FALLING_WATER.farthest_m**3, count)) ** (1 / 3)
     radius = FALLING_WATER.flake_size_m * rng.uniform(0.4, 1.0, count) * FALLING_WATER.flake_focal_px * scale / away / 2
     way = FALLING_WATER.flake_focal_px * scale / away * shutter
@@ -196,7 +202,7 @@ def _flake_field(size: tuple[int, int], rate: float, wind: float, shutter: float
         for k in np.flatnonzero((away < 3.0) == near).tolist():
             ends = np.array([[x[k], y[k]], [x[k] + wind * way[k], y[k] + FALLING_WATER.fall_mps * way[k]]])
             (x0, y0), (x1, y1) = np.rint(ends * 16).astype(int).tolist()
-            # What is smaller than a pixel is fainter.
+            # Flakes smaller than a pixel are fainter.
             strength = int(230 * min(1.0, (2 * radius[k]) ** 2 + 0.3) * (0.8 if near else 1.0))
             cv2.line(layer, (x0, y0), (x1, y1), strength, max(1, round(2 * radius[k])), cv2.LINE_AA, 4)
         blur = (2.2 if near else 0.6) * max(scale, 0.5)

@@ -1,5 +1,7 @@
-"""Graphics that operators draw into pictures besides date and name: logos, watermarks, clocks, letters, arrows, bars,
-names of places with arrows."""
+"""Graphics that operators draw into images in addition to date and name.
+
+They are logos, watermarks, clocks, letters, arrows, bars, and place names with arrows.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,14 +27,14 @@ CAPTION_LETTERS: Final = "ABCDEFGHJKLMNPRSTUVWXYZ0123456789"
 
 @dataclass(frozen=True)
 class OverlayStyle:
-    """Captions and watermarks on the stream."""
+    """Captions and watermarks of the stream."""
 
     least_opacity: float = 0.25
     """Opacity of the faintest watermark."""
     captioned_share: float = 0.6
-    """Share of the recordings with graphics that also have names of places."""
+    """Share of the recordings with graphics that also have place names."""
     least_scale: float = 0.3
-    """Scale of OpenCV's letters below which a name cannot be read."""
+    """Minimum scale of OpenCV's letters at which a name is readable."""
     caption_colors: tuple[tuple[int, int, int], ...] = (
         (255, 255, 0),
         (255, 255, 0),
@@ -51,11 +53,11 @@ NAME_SYLLABLES: Final = (
 )  # fmt: skip
 NAME_ENDINGS: Final = ("", "", "", "", " RD", " AVE", " BRIDGE", " EXIT", " DR 12", " N", " CITY")
 ARROW_HEAD: Final = np.array([(1.0, 0.0), (-0.75, 0.62), (-0.35, 0.0), (-0.75, -0.62)])
-"""Outline of an arrowhead that points to the right, from its middle to its tip 1 long."""
+"""Outline of an arrowhead that points to the right; its middle is at the origin, its tip at 1."""
 
 
 class ScreenGraphics:
-    """The graphics in the pictures of one recording; they stay as they are from frame to frame."""
+    """Graphics in the images of one recording; they do not change between frames."""
 
     def __init__(self, recording: Recording) -> None:
         count, camera = round(recording.conditions.screen_graphics), recording.camera
@@ -77,14 +79,14 @@ class ScreenGraphics:
             self._ink = np.asarray(cv2.multiply(ink, covers, scale=1 / 255), dtype=np.uint8)
 
     def draw(self, rgb: Pixels) -> Pixels:
-        """The picture (H, W, 3) with the graphics over it; the very same array where there are none."""
+        """Return the image (H, W, 3) with the graphics over it; the same array if there are none."""
         if self._ink is None:
             return rgb
         return np.asarray(cv2.add(cv2.multiply(rgb, self._seen, scale=1 / 255), self._ink), dtype=np.uint8)
 
 
 def _color(rng: np.random.Generator) -> tuple[int, int, int]:
-    """White more often than not, black, or a bright colour."""
+    """Return a random colour: mostly white, else black or a bright colour."""
     kind = rng.random()
     if kind < 0.7:
         return (245, 245, 245) if kind < 0.5 else (12, 12, 12)
@@ -97,7 +99,7 @@ def _word(rng: np.random.Generator, least: int, most: int) -> str:
 
 
 def _corner(shape: tuple[int, ...], size: tuple[int, int], rng: np.random.Generator) -> tuple[int, int]:
-    """The corner of something of a size (width, height) that stands near a corner or an edge."""
+    """Return the corner position of an item of `size` (width, height) near a corner or an edge."""
     height, width = shape[:2]
     free_x, free_y = max(width - size[0], 0), max(height - size[1], 0)
     x = rng.choice([rng.uniform(0.01, 0.06), rng.uniform(0.94, 0.99), rng.uniform(0.2, 0.8)]) * free_x
@@ -106,14 +108,14 @@ def _corner(shape: tuple[int, ...], size: tuple[int, int], rng: np.random.Genera
 
 
 def _text(ink: Pixels, mark: Pixels, words: str, at: tuple[int, int], scale: float, rng: np.random.Generator) -> None:
-    """Write words with their lower left corner at a place."""
+    """Write words with their lower left corner at a position."""
     font, thick = int(rng.choice(CAPTION_FONTS)), max(1, round(scale * rng.uniform(1.2, 3.0)))
     cv2.putText(ink, words, at, font, scale, _color(rng), thick, cv2.LINE_AA)
     cv2.putText(mark, words, at, font, scale, 255, thick, cv2.LINE_AA)
 
 
 def _letters(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
-    """Large letters, such as the name of a direction, somewhere in the picture."""
+    """Draw large letters, such as the name of a direction, somewhere in the image."""
     height, width = mark.shape
     scale = width / 1920 * rng.uniform(1.5, 6.0)
     at = int(rng.uniform(0.05, 0.85) * width), int(rng.uniform(0.15, 0.95) * height)
@@ -121,7 +123,7 @@ def _letters(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
 
 
 def _boxed(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
-    """A clock or a name on a plain box."""
+    """Draw a clock or a name on a plain box."""
     scale = mark.shape[1] / 1920 * rng.uniform(0.7, 1.8)
     size = int(scale * 320), int(scale * 48)
     x, y = _corner(mark.shape, size, rng)
@@ -132,7 +134,7 @@ def _boxed(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
 
 
 def _logo(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
-    """A round or square badge with another shape or a word in it."""
+    """Draw a round or square badge with another shape or a word in it."""
     side = int(mark.shape[1] * rng.uniform(0.03, 0.1))
     x, y = _corner(mark.shape, (side, side), rng)
     middle, is_round = (x + side // 2, y + side // 2), rng.random() < 0.5
@@ -146,14 +148,14 @@ def _logo(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
 
 
 def _watermark(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
-    """A wide line of text over the middle."""
+    """Draw a wide line of text over the middle."""
     height, width = mark.shape
     at = int(0.15 * width), int(rng.uniform(0.35, 0.7) * height)
     _text(ink, mark, " ".join(_word(rng, 3, 8) for _ in range(2)), at, width / 1920 * rng.uniform(2.0, 4.5), rng)
 
 
 def _arrow(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
-    """An arrow that says where a lane goes."""
+    """Draw an arrow that shows the direction of a lane."""
     height, width = mark.shape
     x, y = rng.uniform(0.1, 0.9) * width, rng.uniform(0.2, 0.9) * height
     way = width * rng.uniform(0.03, 0.12) * np.array([np.cos(turn := rng.uniform(0, 2 * np.pi)), np.sin(turn)])
@@ -164,7 +166,7 @@ def _arrow(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
 
 
 def _bar(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
-    """A bar along the upper or lower rim."""
+    """Draw a bar along the upper or lower edge."""
     height, width = mark.shape
     deep = int(height * rng.uniform(0.03, 0.08))
     y = 0 if rng.random() < 0.5 else height - deep
@@ -175,7 +177,7 @@ def _bar(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
 
 @dataclass(frozen=True)
 class _CaptionStyle:
-    """Style of the captions of one operator: they look alike in a picture."""
+    """Caption style of one operator; all captions of an image share it."""
 
     ink: tuple[int, int, int]
     scale: float
@@ -188,7 +190,7 @@ class _CaptionStyle:
 
     @classmethod
     def drawn(cls, width: int, rng: np.random.Generator) -> Self:
-        """The style of an operator for pictures of a width."""
+        """Return the random style of an operator for images of this width, pixels."""
         scale = max(
             width / 1920 * float(rng.choice([rng.uniform(0.75, 1.3), rng.uniform(1.2, 2.2)])), OVERLAY_STYLE.least_scale
         )
@@ -199,18 +201,18 @@ class _CaptionStyle:
 
 
 def _place_names(ink: Pixels, cover: Pixels, rng: np.random.Generator) -> None:
-    """Names of places over the road, one to four, and more often than not the operator's plate in a corner.
+    """Draw one to four place names over the road, and mostly the operator's plate in a corner.
 
     Args:
-        ink: (H, W, 3) colours, drawn over.
-        cover: (H, W) opacities, drawn over.
-        rng: Draws.
+        ink: (H, W, 3) colours, changed in place.
+        cover: (H, W) opacities, changed in place.
+        rng: Random generator.
     """
     height, width = cover.shape
     style = _CaptionStyle.drawn(width, rng)
     if rng.random() < 0.6:
         _plate(ink, cover, rng)
-    # Two draws lie about the middle more often than one; one name for each strip of the picture.
+    # The sum of two draws is mostly near the middle; each strip of the image has one name.
     count = int(rng.integers(1, 5))
     for k in rng.permutation(count):
         name = "".join(rng.choice(NAME_SYLLABLES, int(rng.integers(1, 4)))) + str(rng.choice(NAME_ENDINGS))
@@ -249,7 +251,7 @@ def _caption(
         reach, turn = 0.55 * step, float(rng.uniform(0.0, 2 * np.pi))
         toward = np.array([np.cos(turn), np.sin(turn)])
         half = np.array([max(size[0] for size in sizes) / 2 + pad, step * len(lines) / 2])
-        # From the middle to the frame of the lines, and on.
+        # From the middle to the edge of the lines, and beyond.
         edge = toward * float((half / np.maximum(np.abs(toward), 1e-6)).min())
         R = np.array([[toward[0], toward[1]], [-toward[1], toward[0]]])
         outline = np.rint((np.array(middle) + edge + 1.1 * reach * toward) + reach * ARROW_HEAD @ R).astype(np.int32)
@@ -260,7 +262,7 @@ def _caption(
 
 
 def _plate(ink: Pixels, cover: Pixels, rng: np.random.Generator) -> None:
-    """The operator's plate in an upper corner: two words around an emblem on white."""
+    """Draw the operator's plate in an upper corner: two words around an emblem on white."""
     width = cover.shape[1]
     scale = width / 1920 * float(rng.uniform(0.5, 0.8))
     words = [_word(rng, 4, 9).capitalize() for _ in range(2)]

@@ -1,7 +1,7 @@
-"""Spray: the cloud of fine drops that wheels throw up from a wet road, drawn over a picture.
+"""Spray: the cloud of fine drops that wheels throw up from a wet road, drawn over an image.
 
-It stands behind each vehicle that moves, the denser and longer the faster it goes and the wetter the road is, and hides
-what is behind it, the vehicle's own rear included. It is worked out on a grid coarser than the image.
+The cloud is behind each moving vehicle. It is denser and longer the faster the vehicle is and the wetter the road is.
+It hides objects behind it, including the vehicle's own rear. It is computed on a grid coarser than the image.
 """
 
 from dataclasses import dataclass
@@ -20,22 +20,22 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class SprayModel:
-    """Spray behind vehicles on wet roads."""
+    """Settings of the spray behind vehicles on wet roads."""
 
     least_mps: float = 5.0
-    """Speed below which tyres throw up nothing that stays in the air, m/s."""
+    """Minimum speed for visible spray, m/s."""
     full_mps: float = 18.0
-    """Speed at which spray has its full `density`, m/s."""
+    """Speed at which spray has its full `density`, m/s. The density grows further up to 1.5 times that value."""
     density: float = 1.1
-    """Optical depth through the middle of a puff behind a car at that speed."""
+    """Optical depth through the middle of a puff behind a car at `full_mps`."""
     decay_s: float = 0.6
-    """Time in which spray thins out to a third."""
+    """Time in which spray thins out to a third, seconds."""
     gone_s: float = 1.8
-    """Time after which it is not drawn."""
+    """Time after which spray is not drawn, seconds."""
     puff_widths: float = 0.6
     """Distance between the puffs of a plume, in widths of the vehicle."""
     brightness: float = 0.82
-    """Brightness of spray, as a share of the picture's bright parts."""
+    """Brightness of spray, as a share of that of the bright parts of the image."""
     variation: float = 0.55
     """Variation of the density within a plume, as a share."""
     pattern_cells: int = 128
@@ -46,7 +46,7 @@ SPRAY_MODEL: Final = SprayModel()
 
 
 class Spray:
-    """The spray of a recording's vehicles."""
+    """Spray of a recording's vehicles."""
 
     def __init__(self, camera: Camera, conditions: Conditions) -> None:
         self._camera = camera
@@ -62,7 +62,7 @@ class Spray:
                 SPRAY_MODEL.pattern_cells : 2 * SPRAY_MODEL.pattern_cells,
             ]
             mottle = np.clip(1 + SPRAY_MODEL.variation * soft / soft.std(), 0.1, 3.0).astype(np.float32)
-            # As large as the grid and a tile more: frames show windows of it.
+            # One tile larger than the grid: frames show windows of it.
             tiles = [
                 -(-side // (GLARE_STRENGTHS.cell_px * SPRAY_MODEL.pattern_cells)) + 1
                 for side in (camera.height, camera.width)
@@ -72,7 +72,7 @@ class Spray:
     def drift(
         self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], moment: Moment, frame: int
     ) -> NDArray[np.uint8]:
-        """Put the spray of a moment into the picture (H, W, 3), and return it; `depth` (H, W) is the picture's."""
+        """Draw the spray of a moment into the image (H, W, 3), and return it; `depth` (H, W) is that of the image."""
         if self._amount <= 0:
             return rgb
         shown = np.ascontiguousarray(depth[:: GLARE_STRENGTHS.cell_px, :: GLARE_STRENGTHS.cell_px])
@@ -84,7 +84,7 @@ class Spray:
         if not thick.any():
             return rgb
         rows, columns = shown.shape
-        # The pattern moves on from frame to frame.
+        # The pattern moves from frame to frame.
         y, x = (37 * frame) % SPRAY_MODEL.pattern_cells, (53 * frame) % SPRAY_MODEL.pattern_cells
         veil = 255 * (1 - np.exp(-thick * self._mottle[y : y + rows, x : x + columns]))
         veil = cv2.resize(
@@ -149,7 +149,7 @@ def _add_puff(
     focal: float,
     dense: float,
 ) -> None:
-    """Add a round puff: less of it counts where the picture shows something that stands in it or before it."""
+    """Add a round puff. It counts less where the image shows an object inside or in front of it."""
     reach = max(focal * radius / z, 0.8)
     rows, columns = thick.shape
     x0, x1 = max(int(center[0] - 2.2 * reach), 0), min(int(center[0] + 2.2 * reach) + 2, columns)

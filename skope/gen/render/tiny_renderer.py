@@ -1,9 +1,9 @@
-"""Rendering with pybullet's own TinyRenderer: the fallback that needs no graphics library.
+"""Renderer with pybullet's own TinyRenderer: the fallback that needs no graphics library.
 
-The camera does not move, so the scenery is drawn once per recording and each frame draws only its vehicles, each by
-itself in its own window; the layers are then put together by depth. That gives every vehicle's whole silhouette, and
-the frame without it, at no further cost. Everything is drawn three times as fine as the image: the middle one of each
-3 x 3 samples is the pixel's centre (depth, ids), their mean is its colour.
+The camera does not move, so the scenery is drawn once per recording. Each frame draws only its vehicles, each by itself
+in its own window. The layers are then composed by depth. That gives every vehicle's whole silhouette, and the frame
+without it, at no further cost. Everything is drawn three times as fine as the image. The middle of each 3 x 3 samples
+is the pixel's centre (depth, ids); their mean is its colour.
 """
 
 import weakref
@@ -53,9 +53,9 @@ class TinyRendererLimits:
     far_m: float = 1200.0
     """Distance of the far plane, metres."""
     shadow: float = 0.45
-    """Share of the light that a vehicle's shadow takes from the road."""
+    """Share of the road's light that a vehicle's shadow removes."""
     wet_loss: float = 0.4
-    """Share of the road's light that water takes."""
+    """Share of the road's light that water removes."""
 
 
 TINY_LIMITS: Final = TinyRendererLimits()
@@ -63,16 +63,16 @@ TINY_LIMITS: Final = TinyRendererLimits()
 
 @dataclass(frozen=True, eq=False)
 class _FineLayer:
-    """Samples of a window of the image, `TINY_LIMITS.samples` times as fine as it."""
+    """Samples of a window of the image, at `TINY_LIMITS.samples` times its resolution."""
 
     x: int
     y: int
     """The window's first column and row in image pixels; may be negative."""
     rgb: NDArray[np.uint8]
     depth: NDArray[np.float32]
-    """Planar z, +inf where nothing was hit."""
+    """Planar depth z; +inf if nothing was hit."""
     part: NDArray[np.int32]
-    """Index of the mesh part hit, -1 where nothing was."""
+    """Index of the mesh part that was hit; -1 if none was."""
 
     @property
     def window(self) -> Window:
@@ -80,7 +80,10 @@ class _FineLayer:
         return self.x, self.y, self.x + columns // TINY_LIMITS.samples, self.y + rows // TINY_LIMITS.samples
 
     def within(self, window: Window) -> tuple[Slices, Slices] | None:
-        """Fine samples of a window that the layer covers, and the layer's own there; None if they do not overlap."""
+        """Return the fine samples of a window that the layer covers, and the layer's own samples there.
+
+        Return None if they do not overlap.
+        """
         x0, y0, x1, y1 = (f(a, b) for f, a, b in zip((max, max, min, min), self.window, window, strict=True))
         if x0 >= x1 or y0 >= y1:
             return None
@@ -95,7 +98,7 @@ class _FineLayer:
 
 
 class _Stage:
-    """A pybullet client that holds the parts of one thing and draws windows of it."""
+    """A pybullet client that holds the parts of one object and draws windows of it."""
 
     def __init__(self) -> None:
         self._engine = engine()
@@ -105,7 +108,7 @@ class _Stage:
         self._bodies: list[int] = []
 
     def add(self, mesh: Mesh, colors: Mapping[str, COLOR_TYPE]) -> list[int]:
-        """Add a mesh, one body per material; returns the parts' indices."""
+        """Add a mesh, one body per material; return the indices of its parts."""
         first = len(self._bodies)
         for material, part in mesh.by_material().items():
             shape = self._engine.createVisualShape(
@@ -137,8 +140,8 @@ class _Stage:
         x0, y0, x1, y1 = window
         width, height = (x1 - x0) * TINY_LIMITS.samples, (y1 - y0) * TINY_LIMITS.samples
         fx, fy = camera.K[0, 0] * TINY_LIMITS.samples, camera.K[1, 1] * TINY_LIMITS.samples
-        # TinyRenderer samples where continuous coordinates, counted from the lower left, are whole: half a sample to
-        # the right and up lie the centres.
+        # TinyRenderer samples at integer continuous coordinates, counted from the lower left. The centres are half a
+        # sample to the right and up.
         cx, cy = (camera.K[0, 2] - x0) * TINY_LIMITS.samples - 0.5, (camera.K[1, 2] - y0) * TINY_LIMITS.samples + 0.5
         projection = np.zeros((4, 4))
         projection[0, 0], projection[0, 2] = 2 * fx / width, 1 - 2 * cx / width
@@ -177,7 +180,7 @@ class _Stage:
         return _FineLayer(x0, y0, np.ascontiguousarray(rgb), np.where(part >= 0, z, np.inf).astype(np.float32), part)
 
 
-# pybullet gives back little of what a closed client had, 140 MB of a town's, so that recordings share them.
+# pybullet releases little of a closed client's memory (140 MB for a town), so recordings share clients.
 
 
 @cache
@@ -189,7 +192,7 @@ def _town_stage(town: Town) -> _Stage:
 
 @lru_cache(maxsize=256)
 def _vehicle_stage(vehicle: Body) -> tuple[_Stage, list[list[int]]]:
-    """The stage that holds a vehicle, and its parts on the stage for each of its moving parts, its body first."""
+    """Return the stage of a vehicle, and its parts on the stage for each of its moving parts, its body first."""
     stage = _Stage()
     colors = {**MATERIAL_COLORS, "paint": (0.5, 0.5, 0.5)}
     return stage, [stage.add(mesh, colors) for mesh in vehicle.parts]
@@ -240,7 +243,7 @@ class TinyRenderer:
     # ----------------------------------------------------------------------------------------------------- vehicles
 
     def _draw_vehicle(self, recorded: RecordedVehicle, T_world_parts: Array, lamps: int) -> _FineLayer | None:
-        """A vehicle by itself; None when it lies outside the image."""
+        """Draw a vehicle by itself; return None if it lies outside the image."""
         chassis = T_world_parts[0]
         T_camera_chassis = self._camera.T_camera_world @ chassis
         vehicle = body_of(recorded)
@@ -265,7 +268,7 @@ class TinyRenderer:
         return stage.draw(self._camera, T_camera_chassis, window, self._light)
 
     def _shadowed_background(self, moment: Moment) -> NDArray[np.uint8]:
-        """The background with the vehicles' shadows on the ground."""
+        """Return the background with the vehicles' shadows on the ground."""
         mask = np.zeros(self._ground.shape, dtype=np.uint8)
         contact = np.zeros_like(mask)
         for mesh, T in _bodies(moment):
@@ -333,7 +336,7 @@ class TinyRenderer:
         clean: NDArray[np.float32],
         ids: NDArray[np.int32],
     ) -> float:
-        """Distance of the visible pixels of vehicle i from what would be there without it."""
+        """Return the difference between the visible pixels of vehicle i and the image without it."""
         layer = layers[i]
         place = layer.within(self._image) if layer else None
         if layer is None or place is None:
@@ -351,7 +354,7 @@ class TinyRenderer:
 
 
 def _bodies(moment: Moment) -> Iterator[tuple[Mesh, Array]]:
-    """The bodies and trailers of a moment, each with its pose (4, 4)."""
+    """Yield the bodies and trailers of a moment, each with its pose (4, 4)."""
     for i, recorded in enumerate(moment.vehicles):
         vehicle = body_of(recorded)
         yield vehicle.mesh, moment.T_world_chassis[i]
@@ -380,7 +383,7 @@ def _draw_layer(
 
 
 def quaternion(R: Array) -> list[float]:
-    """Unit quaternion x, y, z, w of a rotation, by its largest component (Shepperd's method)."""
+    """Return the unit quaternion x, y, z, w of a rotation, by its largest component (Shepperd's method)."""
     q = np.array([R[0, 0], R[1, 1], R[2, 2], R.trace()])
     k = int(q.argmax())
     if k == 3:
@@ -396,13 +399,13 @@ def quaternion(R: Array) -> list[float]:
 
 
 def _mean_colors(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Fine colours -> image colours, before rounding."""
+    """Return image colours from fine colours, before rounding."""
     rows, columns = rgb.shape[0] // TINY_LIMITS.samples, rgb.shape[1] // TINY_LIMITS.samples
     return np.asarray(cv2.resize(rgb.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA))
 
 
 def _slope(depth: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(H, W, 2) slope of the surface at pixel centres, from the fine depth."""
+    """Return the slope (H, W, 2) of the surface at pixel centres, from the fine depth."""
     m = TINY_LIMITS.samples // 2
     inverse = 1 / depth.astype(np.float64)
     center = inverse[m :: TINY_LIMITS.samples, m :: TINY_LIMITS.samples]
@@ -414,10 +417,11 @@ def _slope(depth: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _line_slope(inverse: Array) -> Array:
-    """Change of the inverse depth per pixel along fine rows (R, C * FINE) -> (R, C); 0 where no neighbours lie on it.
+    """Return the change of the inverse depth per pixel along fine rows: (R, C * FINE) -> (R, C).
 
-    On a plane the inverse depth is linear in the pixel. Of the three samples before, around and after a centre, the
-    straightest belong to the surface shown; others reach over an edge to what lies behind or before it.
+    The result is 0 if no neighbours lie on the surface. On a plane the inverse depth is linear in the pixel. There are
+    three groups of samples: before, around and after a centre. The straightest group belongs to the visible surface;
+    the others reach over an edge to another surface.
     """
     padded = np.pad(inverse, ((0, 0), (1, 1)), mode="edge")
     a, b, c, d, e = (padded[:, k : k + inverse.shape[1] : TINY_LIMITS.samples] for k in range(TINY_LIMITS.samples + 2))

@@ -1,1 +1,1 @@
-"""Houses, trees, signs, ground and markings, grown from a town's roads."""
+"""Houses, trees, signs, ground and markings, generated from a town's roads."""

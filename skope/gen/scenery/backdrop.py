@@ -1,5 +1,7 @@
-"""What stands behind: wooded hills or a city's skyline where the ground ends; and stand-ins for scenery behind a
-photograph, ground that shadows fall on and objects that hide the traffic."""
+"""Backdrop of a scene: hills or a skyline at the edge of the ground, and stand-ins for a photograph's scenery.
+
+The stand-ins are ground that receives shadows and objects that hide the traffic.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,9 +27,9 @@ class BackdropGround:
     radius_m: float = 2000.0
     """Radius of level ground around the camera, metres."""
     cell_m: float = 2.0
-    """Size of its cells, metres."""
+    """Cell size of the ground, metres."""
     shading_height_m: float = 15.0
-    """Height over the road of what casts a photograph's shadows, metres."""
+    """Height above the road of the plates that cast a photograph's shadows, metres."""
     sloped_radius_m: float = 250.0
     """Radius of ground that is not level around the camera, metres."""
 
@@ -36,7 +38,7 @@ BACKDROP_GROUND: Final = BackdropGround()
 
 
 def backdrop(layout: Layout, road: OwnRoad) -> Mesh:
-    """Ground at the lanes' heights, and occluders that face the camera, in the world's axes."""
+    """Return ground at the lanes' heights, and occluders that face the camera, in world axes."""
     return merged([_ground(layout, road.camera.position[:2]), *_occluders(road)])
 
 
@@ -66,7 +68,7 @@ def _occluders(road: OwnRoad) -> Iterator[Mesh]:
 
 
 def plates(road: OwnRoad, toward_sun: Array) -> Mesh | None:
-    """Something high over the road that throws the shadows which the photograph has; None when it has none."""
+    """Return plates high above the road that cast the photograph's shadows; None if it has no shadows."""
     camera, out = road.camera, []
     level = RoadGraph.of(Town.of(road)).road_level(camera.position[:2])
     for outline in road.shades:
@@ -79,7 +81,7 @@ def plates(road: OwnRoad, toward_sun: Array) -> Mesh | None:
 
 
 def _filling_triangles(road: OwnRoad, outline: PixelOutline) -> Array:
-    """(3T, 2) corners of triangles that fill an outline in the image, small enough for the lens."""
+    """Return the corners (3T, 2) of triangles that fill an outline in the image, small enough for the lens."""
     fine = shapely.segmentize(Polygon(outline), max(road.camera.width, road.camera.height) / 50)
     triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(fine))
     return np.asarray(shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3].reshape(-1, 2))
@@ -103,7 +105,7 @@ def horizon(layout: Layout, rng: np.random.Generator) -> Iterator[Mesh]:
 
 
 def _ground_outline(graph: RoadGraph, count: int) -> tuple[Array, Array, Array]:
-    """Middle and half sizes of the ground, and (count, 2) directions all around, clockwise."""
+    """Return middle and half sizes of the ground, and directions (count, 2) all around, clockwise."""
     x0, y0, x1, y1 = graph.road.bounds
     centre, half = np.array([x0 + x1, y0 + y1]) / 2, np.array([x1 - x0, y1 - y0]) / 2 + GROUND_SIZES.margin_m
     angle = np.linspace(0, 2 * np.pi, count)[::-1]
@@ -111,7 +113,7 @@ def _ground_outline(graph: RoadGraph, count: int) -> tuple[Array, Array, Array]:
 
 
 def _hills(layout: Layout, rng: np.random.Generator) -> Mesh:
-    """Wooded hills all around."""
+    """Return wooded hills all around."""
     count = 540
     centre, half, ring = _ground_outline(layout.graph, count + 1)
     angle = np.linspace(0, 2 * np.pi, count + 1)[::-1]
@@ -134,7 +136,7 @@ def _hills(layout: Layout, rng: np.random.Generator) -> Mesh:
 
 
 def _skyline(layout: Layout, rng: np.random.Generator) -> Mesh:
-    """Blocks of several heights, with bands of windows, all around and far away."""
+    """Return distant blocks of several heights, with bands of windows, all around."""
     centre, half, ring = _ground_outline(layout.graph, 150)
     out = Solid()
     for k, direction in enumerate(ring[:-1]):

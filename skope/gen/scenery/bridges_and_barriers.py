@@ -28,7 +28,7 @@ class BridgeSizes:
     deck_thickness_m: float = 1.1
     """Thickness of bridge decks, metres."""
     gantry_clearance_m: float = 5.7
-    """Clearance under signs over the road, metres."""
+    """Clearance under signs above the road, metres."""
     deck_cell_m: float = 3.0
     """Length of the parts of a deck, metres."""
 
@@ -53,7 +53,7 @@ def structures(layout: Layout) -> Iterator[Mesh]:
 
 
 def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
-    """A deck with its carriageway, sidewalks and parapets, its sides and underside, and piers."""
+    """Yield a deck with its carriageway, sidewalks and parapets, its sides and underside, and piers."""
     walk, kerb = layout.deck_edge, layout.style.kerb
     lanes = layout.graph.deck_lanes
 
@@ -96,7 +96,7 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
 
 
 def _widened_deck(graph: RoadGraph, deck: Polygon, walk: float) -> Polygon:
-    """A deck widened to both sides of its lanes only."""
+    """Return a deck that is widened only to both sides of its lanes."""
     parts = [deck]
     for edge in graph.edges_of("bridge"):
         lane = driven(edge)[0]
@@ -111,7 +111,7 @@ def _widened_deck(graph: RoadGraph, deck: Polygon, walk: float) -> Polygon:
 
 
 def _vertical_faces(line: Array, low: Array, high: Array, chosen: NDArray[np.bool_], material: str) -> Mesh:
-    """Vertical faces along a ring (N, 2) with its inside on the right, seen from outside."""
+    """Return vertical faces along a ring (N, 2) with its inside on the right, visible from outside."""
     a, b = line[1:][chosen], line[:-1][chosen]
     za, zb, ta, tb = low[1:][chosen], low[:-1][chosen], high[1:][chosen], high[:-1][chosen]
     corners = np.stack(
@@ -124,12 +124,12 @@ def _edge_parapets(line: Array, z: Array, chosen: NDArray[np.bool_]) -> Iterator
     for first, last in runs_of_true(chosen):
         piece = slice(first, last + 1)
         if LineString(line[piece]).length > 2.0:
-            # The ring has its inside on its right, a parapet stands to the left of its line.
+            # The ring has its inside on its right; a parapet is to the left of its line.
             yield from parapet(line[piece][::-1], z[piece][::-1], 0.3)
 
 
 def _end_faces(deck: Polygon, height: Any) -> Iterator[Mesh]:
-    """The deck's ends under the carriageway."""
+    """Yield the deck's ends under the carriageway."""
     for ring in rings(deck):
         z = height(ring)
         yield _vertical_faces(
@@ -138,7 +138,7 @@ def _end_faces(deck: Polygon, height: Any) -> Iterator[Mesh]:
 
 
 def _piers(layout: Layout, deck: Polygon, whole: Polygon, height: Any) -> Iterator[Mesh]:
-    """Columns under a crossbeam wherever the deck leads over a gap between carriageways."""
+    """Yield columns under a crossbeam wherever the deck crosses a gap between carriageways."""
     axis = _deck_axis(layout.graph, deck)
     kept_clear = layout.graph.ground_road.buffer(0.55)
     shapely.prepare(kept_clear)
@@ -149,7 +149,7 @@ def _piers(layout: Layout, deck: Polygon, whole: Polygon, height: Any) -> Iterat
     for first, last in runs_of_true(fits):
         k = (first + last - 1) // 2
         if spots[last - 1] - spots[first] > 6.0:
-            continue  # a bank, where the deck ends soon
+            continue  # a bank near the end of the deck
         ahead = np.array(axis.interpolate(spots[k] + 0.5).coords[0])
         heading = float(np.arctan2(*(ahead - places[k])[::-1]))
         half = whole.area / axis.length / 2 - 0.6
@@ -166,7 +166,7 @@ def _piers(layout: Layout, deck: Polygon, whole: Polygon, height: Any) -> Iterat
 
 
 def _deck_axis(graph: RoadGraph, deck: Polygon) -> LineString:
-    """The line along a deck's middle."""
+    """Return the line along a deck's middle."""
     lines = [LineString(driven(edge)[-1].getShape()) for edge in graph.edges_of("bridge")]
     edge_line = max((line for line in lines if line.intersects(deck)), key=lambda line: line.length)
     middle = deck.centroid
@@ -178,7 +178,7 @@ def _deck_axis(graph: RoadGraph, deck: Polygon) -> LineString:
 
 
 def _guard_rails(layout: Layout) -> Iterator[Mesh]:
-    """Guard rails along the right of roads that have them, and in medians; not where another carriageway joins."""
+    """Yield guard rails on the right of roads that have them and in medians, except where carriageways join."""
     graph = layout.graph
     for edge in graph.edges:
         lanes, kind = driven(edge), graph.kind(edge)
@@ -197,7 +197,7 @@ def _guard_rails(layout: Layout) -> Iterator[Mesh]:
 
 
 def _rail(path: LineString, near: bool) -> Mesh:
-    """A beam of two waves on posts, at height 0.75 m, on the left-hand side of which the traffic drives."""
+    """Return a beam of two waves on posts, at height 0.75 m; traffic drives on its left-hand side."""
     line = np.array(path.coords)
     profile = [(0.45, 0.0), (0.50, 0.08), (0.58, 0.02), (0.66, 0.08), (0.75, 0.0)]
     faces = []
@@ -216,7 +216,7 @@ def _rail(path: LineString, near: bool) -> Mesh:
 
 
 def _median_barriers(layout: Layout) -> Iterator[Mesh]:
-    """Concrete barriers between the directions of roads between retaining walls."""
+    """Yield concrete barriers between the directions of roads between retaining walls."""
     walled = layout.graph.edges_of("walled")
     for edge in walled:
         lane = driven(edge)[-1]
@@ -247,7 +247,7 @@ def _median_barriers(layout: Layout) -> Iterator[Mesh]:
 
 
 def _noise_barriers(layout: Layout) -> Iterator[Mesh]:
-    """Noise barriers of panels between steel posts."""
+    """Yield noise barriers of panels between steel posts."""
     for name, start, end in layout.style.barriers:
         edge = layout.graph.net.getEdge(name)
         lane, kind = driven(edge)[0], layout.graph.kind(edge)
@@ -266,7 +266,7 @@ def _noise_barriers(layout: Layout) -> Iterator[Mesh]:
 
 
 def _gantry(layout: Layout, edge: Any, at: float, signs: tuple[str, ...]) -> Mesh:
-    """A truss on two legs over an edge's lanes, with signs that face its traffic."""
+    """Return a truss on two posts over an edge's lanes, with signs that face its traffic."""
     lanes, kind = driven(edge), layout.graph.kind(edge)
     s = at if at >= 0 else lanes[0].getLength() + at
     width = 2 * half_width(edge)
@@ -308,7 +308,7 @@ def _gantry(layout: Layout, edge: Any, at: float, signs: tuple[str, ...]) -> Mes
 
 
 def _wires(layout: Layout) -> Iterator[Mesh]:
-    """Timber poles each 38 m along the right of roads that have them, with three sagging wires between."""
+    """Yield timber poles every 38 m along the right of roads that have them, with three sagging wires between them."""
     graph = layout.graph
     kept_clear = unary_union([graph.road.buffer(1.2), layout.sightlines(30.0)])
     shapely.prepare(kept_clear)

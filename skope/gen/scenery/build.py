@@ -1,4 +1,7 @@
-"""Scenery grown from a SUMO network, the same for the same network: roads, houses, trees, street furniture, signals."""
+"""Build the scenery of a SUMO network: roads, houses, trees, street furniture, signals.
+
+The same network always gives the same scenery.
+"""
 
 import zlib
 from collections.abc import Mapping
@@ -39,7 +42,7 @@ from skope.gen.towns.town import Town
 from skope.types import Array
 
 STUDIO_TOWN: Final = Town("studio")
-"""An empty place, to look at vehicles."""
+"""Empty place for views of single vehicles."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +52,9 @@ class StudioSizes:
     radius_m: float = 200.0
     """Radius of the studio, metres."""
     before_crossings_m: float = 5.0
-    """Distance from crossings that is kept free of parked vehicles, metres."""
+    """Distance from crossings without parked vehicles, metres."""
     arm_clearance_m: float = 16.0
-    """Signals nearer to a camera than this do not hang over the road, metres."""
+    """Minimum distance of a camera from signals that hang over the road, metres."""
 
 
 STUDIO_SIZES: Final = StudioSizes()
@@ -59,14 +62,14 @@ STUDIO_SIZES: Final = StudioSizes()
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """A traffic light's head; it shows the state of one link of a junction's program."""
+    """Head of a traffic light, which shows the state of one link of a junction's program."""
 
     program: str
     link: int
     lamps: Array
-    """(3, 3) world positions of red, yellow and green lamp."""
+    """(3, 3) world positions of the red, yellow and green lamp."""
     facing: Array
-    """(3,) the direction into which they shine."""
+    """(3,) direction of their light."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,17 +79,17 @@ class Scenery:
     buildings: tuple[Polygon, ...] = ()
     """Footprints of the buildings."""
     trees: tuple[tuple[float, float, float], ...] = ()
-    """x, y and reach of their crowns."""
+    """x, y and radius of their crowns."""
     bays: tuple[Bay, ...] = ()
-    """Bays that vehicles may be parked in."""
+    """Bays for parked vehicles."""
     lamps: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    """(N, 3) where street lights shine down from."""
+    """(N, 3) positions of the street lights' luminaires."""
     light_pools: Array = field(default_factory=lambda: np.zeros((0, 10)))
-    """(N, 10) patches of light on the road in the dark, from what is outside the picture: x, y and z of the middle, the
-    unit vector in which it fades, half of length and width, irradiance red, green and blue."""
+    """(N, 10) patches of light on the road in the dark, from lamps outside the image. Columns: x, y and z of the
+    middle, the unit vector in which the patch fades, half of length and width, irradiance red, green and blue."""
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Arrays to be stored in a file."""
+        """Return arrays to be stored in a file."""
         signals = self.signals
         return {
             **self.mesh.to_arrays("mesh"),
@@ -103,7 +106,7 @@ class Scenery:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """The scenery that `to_arrays` wrote."""
+        """Return the scenery that `to_arrays` wrote."""
         programs, links = arrays["signal_programs"].tolist(), arrays["signal_links"].tolist()
         signals = zip(programs, links, arrays["signal_lamps"], arrays["signal_facing"], strict=True)
         return cls(
@@ -119,15 +122,14 @@ class Scenery:
 
 @lru_cache(maxsize=10)
 def scenery(town: Town) -> Scenery:
-    """Grow everything of a town that does not move, or load it from the cache.
+    """Build all stationary parts of a town, or load them from the cache.
 
     Args:
         town: A town of the package or a user's road (with a photograph, only ground and occluders); `STUDIO_TOWN` for
-        an
-            empty floor.
+            an empty floor.
 
     Returns:
-        The scenery; the same town always has the same.
+        The scenery; equal towns always have equal scenery.
     """
     if town == STUDIO_TOWN:
         r = STUDIO_SIZES.radius_m
@@ -139,7 +141,7 @@ def scenery(town: Town) -> Scenery:
 
 
 def bays_of(town: Town) -> tuple[Bay, ...]:
-    """The parking bays of a town's scenery, without growing the rest of a variant."""
+    """Return the parking bays of a town's scenery, without building the rest of a variant."""
     if not town.variant:
         return scenery(town).bays
     layout = Layout.of(town)
@@ -198,7 +200,7 @@ def _grow_scenery(town: Town) -> Scenery:
 
 
 def _bays_along_kerbs(town: Town, layout: Layout, houses: list[House]) -> list[Bay]:
-    """Bays along kerbs, which variants of the towns have: clear of drives and of crossings."""
+    """Return bays along kerbs, which variants of the towns have, clear of drives and crossings."""
     if not (town.variant and town.variant.seed):
         return []
     stripes = unary_union(list(zebra_stripes(layout.graph)))
@@ -209,7 +211,7 @@ def _bays_along_kerbs(town: Town, layout: Layout, houses: list[House]) -> list[B
 
 
 def _generators(town: Town) -> dict[str, np.random.Generator]:
-    """A generator of its own for each part of the scenery, so that a change of one leaves the others as they are."""
+    """Return a separate random generator per part of the scenery, so that parts do not affect each other."""
     own = zlib.crc32(town.name.encode())
     seed = [own, town.variant.seed] if town.variant and town.variant.seed else own
     return dict(zip(_BUILD_PARTS, np.random.default_rng(seed).spawn(len(_BUILD_PARTS)), strict=True))
@@ -220,7 +222,7 @@ def _bay_out_of_mirror(bay: Bay) -> Bay:
 
 
 def _out_of_mirror(seen: Scenery) -> Scenery:
-    """Mirror scenery that was grown for the mirror image of a town with left-hand traffic."""
+    """Return the mirror image of scenery that was built for the mirror image of a town with left-hand traffic."""
     flip = np.array([1.0, -1.0, 1.0])
     return Scenery(
         seen.mesh.mirrored(),
@@ -251,7 +253,7 @@ _BUILD_PARTS = (
 
 
 def _signal_head() -> Mesh:
-    """Housing, back plate and visors of a signal that faces -x; its lowest point is at 2.55 m."""
+    """Return housing, back plate and visors of a signal that faces -x; its lowest point is at 2.55 m."""
     out = Solid()
     out.box("trim", (-0.12, -0.17, 2.6), (0.1, 0.17, 3.6))
     out.box("trim", (0.1, -0.26, 2.55), (0.12, 0.26, 3.65))
@@ -263,16 +265,16 @@ def _signal_head() -> Mesh:
 
 
 def _signal_arm(reach: float) -> Mesh:
-    """A taller pole with an arm that carries a head `reach` metres to the left, above 5 m."""
+    """Return a taller pole with an arm that carries a head `reach` metres to the left, above 5 m."""
     pole = lathe([(3.0, 0.09), (5.7, 0.08), (6.0, 0.07), (6.01, 0.0)], ["pole"] * 3, 8, "z").moved([0.2, 0, 0])
     arm = tube([(0.2, 0.0, 5.75), (0.2, reach / 2, 5.85), (0.2, reach + 0.3, 5.85)], (0.06, 0.05, 0.04), "pole", 7)
     return merged([pole, arm])
 
 
 def _signals(layout: Layout) -> tuple[tuple[Signal, ...], list[Mesh]]:
-    """A pole with a head for every edge that leads to a signalled junction, at its stop line.
+    """Return a pole with a head for every edge that leads to a signalled junction, at its stop line.
 
-    Of more than one lane, a second head hangs over the road, unless it would hang before a camera.
+    With more than one lane, a second head hangs over the road, unless it would hang before a camera.
     """
     signals, poles = [], []
     for program in layout.graph.net.getTrafficLights():

@@ -1,6 +1,6 @@
-"""Things that resemble vehicles or parts of them and are none; x along the road, y towards it, z up, metres.
+"""Objects that resemble vehicles or their parts; x along the road, y towards it, z up, metres.
 
-They reach below the ground, which may fall under them.
+They extend below the ground, which may slope down under them.
 """
 
 from collections.abc import Callable, Mapping
@@ -39,7 +39,7 @@ _DARK_COLOR: Final = "#222222"
 
 
 def shipping_container(rng: np.random.Generator) -> Mesh:
-    """A container with ribbed sides and a door with bars, 10 or 20 feet long."""
+    """Return a container with ribbed sides and a door with bars, 10 or 20 feet long."""
     x, y, top = rng.choice([1.5, 3.03]), 1.22, 2.59
     color = drawn_color(rng)
     out = Solid()
@@ -58,7 +58,7 @@ def shipping_container(rng: np.random.Generator) -> Mesh:
 
 
 def skip(rng: np.random.Generator) -> Mesh:
-    """An open skip with sloping ends, full of rubble."""
+    """Return an open skip with sloping ends, full of rubble."""
     color, (x, y, top) = drawn_color(rng), (1.8, 0.85, rng.uniform(1.1, 1.6))
     low = 0.55 * x
     out = Solid()
@@ -76,7 +76,7 @@ def skip(rng: np.random.Generator) -> Mesh:
 
 
 def bins(rng: np.random.Generator) -> Mesh:
-    """One to four large bins on castors beside each other."""
+    """Return one to four large bins on castors beside each other."""
     out = Solid()
     count = int(rng.integers(1, 5))
     for k in range(count):
@@ -95,7 +95,7 @@ def bins(rng: np.random.Generator) -> Mesh:
 
 
 def kiosk(rng: np.random.Generator) -> Mesh:
-    """A booth with a hatch, an awning and a sign on its roof."""
+    """Return a booth with a hatch, an awning and a sign on its roof."""
     x, y, top = rng.uniform(1.0, 1.8), rng.uniform(0.9, 1.3), rng.uniform(2.3, 2.8)
     color, band = drawn_color(rng, 0.7), drawn_color(rng)
     out = Solid()
@@ -110,12 +110,12 @@ def kiosk(rng: np.random.Generator) -> Mesh:
 
 
 def shelter(rng: np.random.Generator) -> Mesh:
-    """A bus shelter away from the kerb, with a poster at its end."""
+    """Return a bus shelter away from the kerb, with a poster at its end."""
     return bus_shelter() if rng.random() < 0.5 else merged([bus_shelter(), poster_stand(rng).moved((2.9, 0.0, 0.0))])
 
 
 def crates(rng: np.random.Generator) -> Mesh:
-    """Stacked crates on pallets."""
+    """Return stacked crates on pallets."""
     out = Solid()
     for k in range(int(rng.integers(1, 4))):
         x = 1.3 * k - 1.3
@@ -130,7 +130,7 @@ def crates(rng: np.random.Generator) -> Mesh:
 
 
 def covered_heap(rng: np.random.Generator) -> Mesh:
-    """A tarpaulin over a heap: lumps under cloth that touches the ground all around."""
+    """Return a tarpaulin over a heap: lumps under cloth that touches the ground all around."""
     x, y, top = rng.uniform(0.9, 2.0), rng.uniform(0.6, 1.1), rng.uniform(0.6, 1.4)
     rows, columns = 9, 13
     u, v = np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows))
@@ -142,7 +142,7 @@ def covered_heap(rng: np.random.Generator) -> Mesh:
 
 
 def swap_body(rng: np.random.Generator) -> Mesh:
-    """A lorry's box without the lorry, on four legs."""
+    """Return a lorry's swap body without the lorry, on four supports."""
     x, y, low, top = rng.uniform(2.4, 3.7), 1.24, 1.15, 3.6
     color = drawn_color(rng)
     out = Solid()
@@ -159,7 +159,7 @@ def swap_body(rng: np.random.Generator) -> Mesh:
 
 
 def trailer_frame(rng: np.random.Generator) -> Mesh:
-    """The bare frame of a trailer with its wheels taken off, on blocks, and the wheels in a pile."""
+    """Return the bare frame of a trailer on blocks, with its wheels in a pile."""
     x, y = rng.uniform(1.2, 2.2), 0.8
     out = Solid()
     for side in (-y, y - 0.1):
@@ -172,7 +172,7 @@ def trailer_frame(rng: np.random.Generator) -> Mesh:
 
 
 def tyres(rng: np.random.Generator) -> Mesh:
-    """One to three stacks of tyres."""
+    """Return one to three stacks of tyres."""
     profile = [(0.0, 0.18), (0.0, 0.30), (0.05, 0.33), (0.17, 0.33), (0.22, 0.30), (0.22, 0.18), (0.0, 0.18)]
     one = lathe(profile, ["tyre"] * 6, 14, "z")
     stacks = range(int(rng.integers(1, 4)))
@@ -184,7 +184,7 @@ def tyres(rng: np.random.Generator) -> Mesh:
 
 
 def transformer(rng: np.random.Generator) -> Mesh:
-    """A metal hut with two doors, louvres and a warning sign."""
+    """Return a metal hut with two doors, louvres and a warning sign."""
     x, y, top = rng.uniform(0.9, 1.7), rng.uniform(0.7, 1.1), rng.uniform(1.5, 2.3)
     color = drawn_color(rng, 0.5)
     out = Solid()
@@ -201,12 +201,12 @@ def transformer(rng: np.random.Generator) -> Mesh:
 
 
 def cabinets(rng: np.random.Generator) -> Mesh:
-    """A row of cable cabinets."""
+    """Return a row of cable cabinets."""
     return merged(cabinet().moved((1.4 * k, 0.0, 0.0)) for k in range(int(rng.integers(1, 4))))
 
 
 def barriers(rng: np.random.Generator) -> Mesh:
-    """Road works beside the road: red and white boards on feet with yellow or red lamps."""
+    """Return road works beside the road: red and white boards on feet with yellow or red lamps."""
     out, count = Solid(), int(rng.integers(1, 5))
     lamp = str(rng.choice(["sign_yellow", "taillight", "#ff8800", "luminaire"]))
     for k in range(count):
@@ -223,7 +223,7 @@ def barriers(rng: np.random.Generator) -> Mesh:
 
 
 def billboard(rng: np.random.Generator) -> Mesh:
-    """A large poster on posts, printed on one side or both."""
+    """Return a large poster on posts, printed on one side or both."""
     width, height, low = rng.uniform(2.2, 4.6), rng.uniform(1.6, 3.0), rng.uniform(0.5, 2.2)
     out = Solid()
     for x in (-0.38 * width, 0.38 * width):
@@ -232,7 +232,7 @@ def billboard(rng: np.random.Generator) -> Mesh:
 
 
 def poster_stand(rng: np.random.Generator) -> Mesh:
-    """A poster of a person's height between two posts."""
+    """Return a poster of a person's height between two posts."""
     out = Solid()
     for x in (-0.62, 0.55):
         out.box("frame_dark", (x, -0.06, BELOW_GROUND_M), (x + 0.07, 0.06, 2.35), without="-z")
@@ -240,7 +240,7 @@ def poster_stand(rng: np.random.Generator) -> Mesh:
 
 
 def _framed(out: Solid, width: float, height: float, low: float, rng: np.random.Generator) -> Mesh:
-    """Add a frame with posters on its front and, more often than not, on its back."""
+    """Add a frame with posters on its front and, in most cases, on its back."""
     out.box("frame_dark", (-width / 2 - 0.05, -0.09, low), (width / 2 + 0.05, 0.09, low + height + 0.1))
     out.add(poster(width, height, rng).placed((width / 2, 0.09 + LAYER_GAP_M, low + 0.05), TOWARDS_ROAD))
     if rng.random() < 0.6:
@@ -250,7 +250,7 @@ def _framed(out: Solid, width: float, height: float, low: float, rng: np.random.
 
 
 def wall_panel(width: float, height: float, rng: np.random.Generator) -> Mesh:
-    """A printed panel or a shop's sign on a wall that looks to +y; its lower middle is the origin."""
+    """Return a printed panel or a shop's sign on a wall that faces +y; the origin is the middle of its lower edge."""
     thick, out = rng.uniform(0.16, 0.24), Solid()
     out.box(drawn_color(rng), (-width / 2 - 0.04, 0.0, -0.04), (width / 2 + 0.04, thick, height + 0.04))
     if width < 2.2 * height:
@@ -299,4 +299,4 @@ STANDING_OBJECTS: Final[Mapping[Callable[[np.random.Generator], Mesh], float]] =
     recessed_wall: 1.0,
     gravestones: 0.7,
 }
-"""Objects that stand on the ground, with their shares."""
+"""Objects on the ground, with their shares."""

@@ -1,4 +1,4 @@
-"""Places things around the cameras that resemble vehicles and are none: beside the roads and on walls."""
+"""Place objects that resemble vehicles around the cameras: beside the roads and on walls."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -26,39 +26,40 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class DistractorLimits:
-    """Places and sizes of things that resemble vehicles."""
+    """Positions and sizes of objects that resemble vehicles."""
 
     placed_within_m: float = 70.0
-    """Distance from a camera up to which such things are placed, metres."""
+    """Maximum distance of these objects from a camera, metres."""
     out_of_view_share: float = 0.15
-    """Share of them that stands anywhere around a camera, not where it looks."""
+    """Share of the objects in any direction from a camera; the others are in its view."""
     clearance_m: float = 0.6
-    """Least distance from the carriageway, metres."""
+    """Minimum distance from the carriageway, metres."""
     largest_share: float = 0.45
-    """Largest size as a share of the distance from the nearest camera: nothing fills a picture."""
+    """Maximum size as a share of the distance from the nearest camera, so that no object fills an image."""
     open_view_m: float = 24.0
-    """Nothing stands in a camera's view of road that is nearer to it than this, metres."""
+    """Radius around a camera in which its view of the road is free of objects, metres."""
     on_walls_share: float = 0.4
-    """Share of them that hangs on walls."""
+    """Share of the objects that are on walls."""
     lit_on_walls_share: float = 0.15
-    """Share of lit objects that hangs on walls, where they are signs."""
+    """Share of lit objects that are signs on walls."""
     largest_fall_m: float = 0.3
-    """Largest fall of the ground under one, metres."""
+    """Maximum fall of the ground under an object, metres."""
     overhead_m: float = 4.5
-    """Height from which parts of lit objects may hang over the road, metres."""
+    """Minimum height of parts of lit objects over the road, metres."""
     pool_colors: tuple[tuple[float, float, float], ...] = (
         (1.1, 0.98, 0.8),
         (1.0, 1.0, 1.0),
         (0.85, 1.0, 1.2),
         (0.45, 0.2, 0.18),
     )
-    """Colours of patches of light: of warm, white and cool headlamps, and of tail lamps."""
+    """Colours of patches of light from warm, white and cool headlamps, and from tail lamps."""
     pool_irradiance: tuple[float, float] = (0.04, 0.3)
-    """Range of their irradiance, in units of the renderer; a street light gives the road below it about 0.1."""
+    """Minimum and maximum irradiance of the patches, in units of the renderer; a street light gives about 0.1 on the
+    road below it."""
     tries: int = 40
-    """Number of places that are tried for each."""
+    """Number of positions to try per object."""
     spacing_m: float = 2.5
-    """Distance between places along roads, metres."""
+    """Distance between candidate positions along roads, metres."""
     aspect: float = 9 / 16
     """Height of images as a share of their width."""
 
@@ -69,15 +70,15 @@ DISTRACTOR_LIMITS: Final = DistractorLimits()
 def distractors(
     town: Town, layout: Layout, houses: Sequence[House], blocked: Any, standing: Mesh, rng: np.random.Generator
 ) -> Iterator[Mesh]:
-    """Make and place the things of a town's variant that resemble vehicles; fewer where there is no room.
+    """Make and place the objects of a town's variant that resemble vehicles; fewer if there is no room.
 
     Args:
-        town: The town, whose variant says how many there are.
+        town: The town; its variant sets the number of objects.
         layout: Its regions and cameras.
-        houses: Its buildings, on whose walls some hang.
-        blocked: Further area where nothing may stand.
-        standing: Everything that stands in the town; things keep clear of it.
-        rng: Draws.
+        houses: Its buildings; their walls carry some of the objects.
+        blocked: Further area without objects.
+        standing: All existing objects of the town, which new objects must not touch.
+        rng: Random generator.
     """
     if not town.variant or not layout.sites:
         return
@@ -100,7 +101,7 @@ def distractors(
 def _surroundings(
     town: Town, layout: Layout, houses: Sequence[House], blocked: Any, standing: Mesh
 ) -> "tuple[_Room, list[_View], _Roadside, _Walls]":
-    """What things are placed in: free room, the cameras' views, roadsides and walls; see `distractors`."""
+    """Return free room, the cameras' views, roadsides and walls for the placement; see `distractors`."""
     masts = town.variant.masts if town.variant else ()
     near = [
         house
@@ -115,15 +116,15 @@ def _surroundings(
 def lit_objects(
     town: Town, layout: Layout, houses: Sequence[House], blocked: Any, standing: Mesh, rng: np.random.Generator
 ) -> Iterator[Mesh]:
-    """Make and place the things of a town's variant that burn or shine at night; fewer where there is no room.
+    """Make and place the objects of a town's variant that are lit at night; fewer if there is no room.
 
     Args:
-        town: The town, whose variant says how many there are.
+        town: The town; its variant sets the number of objects.
         layout: Its regions and cameras.
         houses: Its buildings.
-        blocked: Further area where nothing may stand.
-        standing: Everything that stands in the town; things keep clear of it.
-        rng: Draws.
+        blocked: Further area without objects.
+        standing: All existing objects of the town, which new objects must not touch.
+        rng: Random generator.
     """
     if not town.variant or not layout.sites:
         return
@@ -147,7 +148,7 @@ def lit_objects(
 
 
 def light_pools(town: Town, layout: Layout, rng: np.random.Generator) -> Array:
-    """Patches of light on the lanes that the cameras see, up to three each: (N, 10) as `Scenery.light_pools`."""
+    """Return up to three patches of light per camera on the lanes in its view, (N, 10) as `Scenery.light_pools`."""
     out = []
     for kerb, heading in _seen_kerbs(town, layout, 3, rng):
         at = kerb - right_of(heading) * rng.uniform(1.2, 4.5)
@@ -161,13 +162,13 @@ def light_pools(town: Town, layout: Layout, rng: np.random.Generator) -> Array:
 
 
 def hatched_areas(town: Town, layout: Layout, rng: np.random.Generator) -> list[Polygon]:
-    """Stripes of hatched areas at the right edges of the roads that the cameras see, up to two areas each."""
+    """Return the stripes of up to two hatched areas per camera, at the right edges of the roads in its view."""
     kerbs = _seen_kerbs(town, layout, 2, rng)
     return [part for kerb, heading in kerbs for part in hatching(kerb - 0.35 * right_of(heading), heading, rng)]
 
 
 def _seen_kerbs(town: Town, layout: Layout, most: int, rng: np.random.Generator) -> Iterator[tuple[Array, float]]:
-    """Places at kerbs that the cameras see, up to a number for each, with the headings of the roads."""
+    """Yield positions at kerbs in the cameras' views, up to `most` per camera, with the headings of the roads."""
     views = [_View.of(mast, layout) for mast in (town.variant and town.variant.masts) or map(_mast_at, sites_of(town))]
     along_roads = _Roadside(layout, views)
     for view in range(len(views)):
@@ -177,19 +178,19 @@ def _seen_kerbs(town: Town, layout: Layout, most: int, rng: np.random.Generator)
 
 
 def _foot(layout: Layout, place: Array, heading: float, points: Array) -> float:
-    """Height at which a thing of points (N, 3) stands: the lowest ground under it."""
+    """Return the height of an object of points (N, 3): that of the lowest ground under it."""
     corners = np.array(rectangle_polygon(place, heading, *np.ptp(points[:, :2], axis=0)).exterior.coords)
     return float(layout.ground.beside(corners).min() + layout.style.kerb)
 
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """The part of the plane that a camera sees, as far as its mast tells."""
+    """Part of the plane that a camera sees, derived from its mast."""
 
     place: Array
-    """(2,) where it hangs."""
+    """(2,) position of the camera."""
     height: float
-    """Height over the ground below it, metres."""
+    """Height above the ground below it, metres."""
     yaw: float
     pitch: float
     """Viewing direction, radians from the x axis and down from the horizon."""
@@ -204,7 +205,7 @@ class _View:
         return cls(place, height, -yaw if layout.graph.mirrored else yaw, pitch, fov / 2)
 
     def sees(self, places: Array) -> NDArray[np.bool_]:
-        """(N,) which places (N, 2) within reach the image may show."""
+        """Return which places (N, 2) are within reach and may be visible in the image, (N,)."""
         away = places - self.place
         distance = np.maximum(np.hypot(*away.T), 1e-6)
         turned = np.arctan2(away[:, 1], away[:, 0]) - self.yaw
@@ -223,7 +224,7 @@ def _mast_at(site: Site) -> Mast:
 
 
 class _Room:
-    """Places where things may stand or hang."""
+    """Free room for objects on the ground and on walls."""
 
     def __init__(self, layout: Layout, blocked: Any, standing: Mesh) -> None:
         self._layout = layout
@@ -245,9 +246,10 @@ class _Room:
         self._taken: list[Polygon] = []
 
     def take(self, place: Array, heading: float, points: Array, whole: Array | None = None) -> bool:
-        """Whether a thing of points (N, 3) has room there on the ground; if so its place is taken.
+        """Return whether an object of points (N, 3) has room there on the ground; if it has, reserve the room.
 
-        Where parts hang over the road, `whole` (M, 3) has their points too: they keep clear of other things only.
+        If parts hang over the road, `whole` (M, 3) also contains their points. These parts only keep clear of other
+        objects.
         """
         whole = points if whole is None else whole
         low, high = points.min(axis=0), points.max(axis=0)
@@ -263,7 +265,7 @@ class _Room:
         return self._keep(_plan_of(place, heading, whole), 0.4)
 
     def take_on_wall(self, footprint: Polygon) -> bool:
-        """Whether a panel on a wall hangs clear of streets and of others; if so its place is taken."""
+        """Return whether a panel on a wall is clear of streets and of other panels; if it is, reserve its room."""
         return not self._street.intersects(footprint) and self._keep(footprint, 0.2)
 
     def _keep(self, footprint: Polygon, gap: float) -> bool:
@@ -274,7 +276,7 @@ class _Room:
 
 
 def _plan_of(place: Array, heading: float, points: Array) -> Polygon:
-    """The rectangle around a thing of points (N, 3) that stands at a place with a heading."""
+    """Return the rectangle around an object of points (N, 3) at a position with a heading."""
     low, high = points.min(axis=0), points.max(axis=0)
     c, s = np.cos(heading), np.sin(heading)
     middle = (low + high)[:2] / 2 @ np.array([[c, s], [-s, c]]) + place
@@ -282,7 +284,7 @@ def _plan_of(place: Array, heading: float, points: Array) -> Polygon:
 
 
 class _Roadside:
-    """Places along the roads around the cameras."""
+    """Positions along the roads around the cameras."""
 
     def __init__(self, layout: Layout, views: Sequence[_View]) -> None:
         places, headings, widths = [], [], []
@@ -305,7 +307,7 @@ class _Roadside:
         ]
 
     def draw_kerb(self, view: int, rng: np.random.Generator) -> tuple[Array, float] | None:
-        """A place at a kerb that a camera may see, and the road's heading; None where it sees none."""
+        """Return a random position at a kerb that a camera may see, and the road's heading; None if it sees none."""
         if not len(self._seen[view]):
             return None
         i = int(rng.choice(self._seen[view]))
@@ -314,9 +316,13 @@ class _Roadside:
     def draw(
         self, view: int, points: Array, rng: np.random.Generator, *, facing_road: bool = False
     ) -> tuple[Array, float] | None:
-        """A place beside the road and a heading for a thing of points (N, 3) before a camera; None far from roads.
+        """Return a random position beside the road and a heading for an object before a camera; None far from roads.
 
-        With `facing_road` the thing stands close to the road, with its y axis towards it.
+        Args:
+            view: Index of the camera.
+            points: (N, 3) points of the object, metres.
+            rng: Random generator.
+            facing_road: Whether the object is close to the road, with its y axis towards it.
         """
         among = self._near[view] if rng.random() < DISTRACTOR_LIMITS.out_of_view_share else self._seen[view]
         if not len(among):
@@ -331,7 +337,7 @@ class _Roadside:
         along_road = rng.random() < 0.7
         depth = np.ptp(points[:, 1 if along_road else 0])
         offset = self._widths[i] + 0.3 + depth / 2 + DISTRACTOR_LIMITS.clearance_m + 14.0 * rng.random() ** 2
-        # Fronts look to the left of a heading, which is at the road.
+        # Fronts face the left of a heading, where the road is.
         turned = rng.choice([0.0, 0.0, 0.0, np.pi]) if along_road else rng.choice([-np.pi / 2, np.pi / 2])
         place = self._places[i] + right_of(self._headings[i]) * offset
         return place, float(self._headings[i] + turned + rng.normal(0.0, 0.08))
@@ -339,20 +345,20 @@ class _Roadside:
 
 @dataclass(frozen=True, eq=False)
 class _Wall:
-    """A wall of a building."""
+    """Wall of a building."""
 
     house: House
     middle: Array
-    """(2,) middle of its foot."""
+    """(2,) middle of the lower edge."""
     heading: float
-    """Direction along it, radians; it looks to the left of that."""
+    """Direction along the wall, radians; the wall faces the left of it."""
     width: float
     out: float
-    """Distance by which parts of the building stand out from it, metres."""
+    """Distance by which parts of the building project from the wall, metres."""
 
 
 class _Walls:
-    """Walls of buildings that cameras look at."""
+    """Walls of buildings in the cameras' views."""
 
     def __init__(self, views: Sequence[_View], houses: Sequence[House]) -> None:
         self._footprints = shapely.STRtree([house.footprint for house in houses])
@@ -364,14 +370,14 @@ class _Walls:
             middle = house.to_world(np.array(axis) * np.array(house.size) / 2)
             outward = house.to_world(np.array(axis, dtype=np.float64)) - house.center
             heading = float(np.arctan2(outward[1], outward[0]) - np.pi / 2)
-            # Piers and floors stand out from the walls of towers.
+            # Piers and floors project from the walls of towers.
             wall = _Wall(house, middle, heading, house.size[side // 2], 0.35 if kind.form == "tower" else 0.02)
             for view, seen in zip(views, self._walls, strict=True):
                 if view.sees(middle[None])[0] and self._looks_at(wall, outward, view):
                     seen.append(wall)
 
     def _looks_at(self, wall: _Wall, outward: Array, view: _View) -> bool:
-        """Whether a camera sees a wall from its front, and no building stands between them."""
+        """Return whether a camera sees the front of a wall without a building between them."""
         away = view.place - wall.middle
         if away @ outward < 0.25 * np.linalg.norm(away):
             return False
@@ -379,7 +385,7 @@ class _Walls:
         return not len(self._footprints.query(ray, predicate="intersects"))
 
     def draw(self, view: int, room: _Room, rng: np.random.Generator) -> Mesh | None:
-        """A panel on one of the walls that a camera sees, or None where it does not fit."""
+        """Return a panel on one of the walls that a camera sees; None if it does not fit."""
         if not self._walls[view]:
             return None
         wall = self._walls[view][int(rng.integers(len(self._walls[view])))]
@@ -403,7 +409,7 @@ class _Walls:
 
 
 def _plans_of_low_triangles(layout: Layout, standing: Mesh) -> NDArray[np.object_]:
-    """Rings of the triangles around the cameras that are not far above the ground, from above."""
+    """Return the outlines in plan of the triangles around the cameras that are near the ground."""
     corners = standing.vertices[standing.triangles]
     middle = corners.mean(axis=1)
     near = np.zeros(len(corners), dtype=bool)

@@ -1,4 +1,4 @@
-"""Fronts of houses as solids: x along the wall, y up, z out of it; windows, doors, shop fronts, balconies."""
+"""Fronts of houses as solids: x along the wall, y up, z outwards; windows, doors, shop fronts, balconies."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class FacadeSizes:
     frame_m: float = 0.06
     """Width of a frame, metres."""
     layer_m: float = 0.03
-    """Distance from the wall of what is drawn on it, metres."""
+    """Distance of decoration from the wall, metres."""
 
 
 FACADE_SIZES: Final = FacadeSizes()
@@ -29,22 +29,22 @@ FACADE_SIZES: Final = FacadeSizes()
 
 @dataclass(frozen=True, kw_only=True)
 class FacadeStyle:
-    """Walls and windows of a house; materials by name, metres."""
+    """Walls and windows of a house: materials by name, lengths in metres."""
 
     walls: str
     dressing: str
-    """Sills, lintels, string courses, quoins."""
+    """Material of sills, lintels, string courses and quoins."""
     frame: str
     door: str
     storeys: tuple[float, ...]
     """Height of each storey from the ground up."""
     bay: float
-    """Width of wall for each window."""
+    """Width of wall per window."""
     window: tuple[float, float]
     sill: float
-    """Height of window sills above their floor."""
+    """Height of window sills above the floor of their storey."""
     panes: tuple[int, int]
-    """Columns and rows that glazing bars cut a window into."""
+    """Columns and rows of panes in a window."""
     lintels: bool = False
     surrounds: bool = False
     shutters: str | None = None
@@ -79,12 +79,21 @@ def facade(
     shop: Shop | None = None,
     wrap: bool = False,
 ) -> Solid:
-    """A wall from x = 0 to `width`; `near` ones have their windows set back and their details as geometry.
+    """Return a wall from x = 0 to `width`.
 
-    What is far has its windows and doors on the wall instead of in it, which takes a tenth of the triangles; `plain`
-    ones have panes of glass only.
+    A near wall has recessed windows and details as geometry. A far wall has its windows and doors on its surface, which
+    takes a tenth of the triangles.
 
-    Where two walls meet, the bands of the one with `wrap` go round the corner.
+    Args:
+        width: Width of the wall, metres.
+        style: Style of the house.
+        rng: Random generator.
+        near: Whether the wall is near a camera.
+        plain: Whether windows are panes of glass only.
+        bays: Number of bays; None: as many as fit.
+        door: Whether the wall has a door.
+        shop: The shop on the ground floor, if any.
+        wrap: Whether the bands of this wall continue around the corner to the next wall.
     """
     out = Solid()
     count = max(1, round((width - 0.6) / style.bay)) if bays is None else bays
@@ -125,7 +134,7 @@ def facade(
 
 
 def _wall(width: float, height: float, holes: Sequence[tuple[float, float, float, float]]) -> Array:
-    """Quadrilaterals (N, 4, 3) of a wall with rectangular holes (x0, x1, y0, y1), corner to corner."""
+    """Return the quadrilaterals (N, 4, 3) of a wall with rectangular holes (x0, x1, y0, y1), corner to corner."""
     edges = np.array(holes, dtype=np.float64).reshape(-1, 4)
     xs = np.unique(np.round([0.0, width, *edges[:, :2].ravel()], 6))
     ys = np.unique(np.round([0.0, height, *edges[:, 2:].ravel()], 6))
@@ -153,7 +162,7 @@ def _put_windows(
 
 
 def _window(style: FacadeStyle, look: int, near: bool) -> Solid:
-    """A window with its lower left corner at the origin; `look`: plain, curtains, half a blind, a blind, net."""
+    """Return a window with its lower left corner at the origin; `look`: plain, curtains, half a blind, a blind, net."""
     w, h = style.window
     if not near:
         return _far_window(style, look)
@@ -187,7 +196,7 @@ def _window(style: FacadeStyle, look: int, near: bool) -> Solid:
 
 
 def _far_window(style: FacadeStyle, look: int) -> Solid:
-    """A window of few triangles: a board of the frame's colour with its panes before it."""
+    """Return a window of few triangles: a board of the frame's colour with its panes in front."""
     w, h = style.window
     out = Solid()
     out.pane(style.frame, (0.0, w), (0.0, h), FACADE_SIZES.layer_m)
@@ -204,7 +213,7 @@ def _far_window(style: FacadeStyle, look: int) -> Solid:
 
 
 def _put_window_frame(out: Solid, frame: str, size: tuple[float, float], panes: tuple[int, int], z: float) -> None:
-    """A frame around a window and bars that divide it."""
+    """Add a frame around a window and bars that divide it."""
     w, h = size
     f = FACADE_SIZES.frame_m
     out.pane(frame, (0.0, f), (0.0, h), z)
@@ -216,7 +225,7 @@ def _put_window_frame(out: Solid, frame: str, size: tuple[float, float], panes: 
         x = w * i / columns
         out.pane(frame, (x - 0.025, x + 0.025), (f, h - f), z)
     for i in range(1, rows):
-        # A hair behind the upright bars that it crosses.
+        # Slightly behind the upright bars that it crosses.
         y = h * (0.68 if rows == 2 else i / rows)
         out.pane(frame, (f, w - f), (y - 0.025, y + 0.025), z - 0.01)
 
@@ -225,7 +234,7 @@ def _put_window_frame(out: Solid, frame: str, size: tuple[float, float], panes: 
 
 
 def _door(style: FacadeStyle, near: bool) -> Solid:
-    """A door with its lower left corner at the origin, a step before it and a hood above."""
+    """Return a door with its lower left corner at the origin, a step before it and a hood above."""
     w, h = FACADE_SIZES.door_m
     depth = 0.16 if near else 0.0
     out = Solid()
@@ -244,7 +253,7 @@ def _door(style: FacadeStyle, near: bool) -> Solid:
 
 
 class _ShopFront:
-    """The ground floor of a shop: panes between pillars, a fascia board with lettering, perhaps an awning."""
+    """Ground floor of a shop: panes between pillars, a fascia board with lettering, and an optional awning."""
 
     def __init__(self, width: float, style: FacadeStyle, shop: Shop, rng: np.random.Generator, near: bool) -> None:
         self.holes: list[tuple[float, float, float, float]] = []
@@ -293,7 +302,7 @@ class _ShopFront:
 def _put_lettering(
     out: Solid, material: str, x: tuple[float, float], y: tuple[float, float], z: float, rng: np.random.Generator
 ) -> None:
-    """Strokes that look like a word from afar, centred on a board."""
+    """Add strokes that look like a word in a distant view, centred on a board."""
     size = y[1] - y[0]
     letters = int(np.clip(rng.integers(6, 13), 3, (x[1] - x[0] - 0.6) / (0.8 * size)))
     at, stroke = (x[0] + x[1]) / 2 - letters * 0.4 * size, 0.13 * size
@@ -313,8 +322,8 @@ def _put_lettering(
 
 
 def _put_trim(out: Solid, width: float, style: FacadeStyle, *, plinth: bool, wrap: bool) -> None:
-    """Plinth, string course, cornice and quoins."""
-    bands = [(0.0, 0.14, 0.04)] if plinth else []  # its gap before the door is hidden by the step
+    """Add plinth, string course, cornice and quoins."""
+    bands = [(0.0, 0.14, 0.04)] if plinth else []  # the step hides its gap at the door
     if style.cornice:
         first, top = style.floor(1) - 0.05, style.height
         bands += [(first, first + 0.16, 0.06), (top - 0.34, top - 0.14, 0.1), (top - 0.14, top, 0.2)]

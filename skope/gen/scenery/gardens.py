@@ -1,4 +1,4 @@
-"""Enclosures of houses' plots: low walls, picket fences, railings and hedges in front, timber fences behind."""
+"""Enclosures of plots: walls, picket fences, railings and hedges at the front, timber fences at the rear."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -24,16 +24,16 @@ class GardenLimits:
     """Shrubs and enclosed ground before cameras."""
 
     shrub_tries: int = 18
-    """Groups of shrubs that are tried on open ground before each camera."""
+    """Number of attempts to place groups of shrubs on open ground before each camera."""
     open_ground_m: float = 46.0
-    """Distance from a camera up to which open ground is enclosed, metres."""
+    """Distance from a camera within which open ground is enclosed, metres."""
 
 
 GARDEN_LIMITS: Final = GardenLimits()
 
 
 def gardens(layout: Layout, houses: list[House], pits: Any, rng: np.random.Generator) -> Iterator[Mesh]:
-    """Boundaries and bushes of all plots that have a garden."""
+    """Yield boundaries and bushes of all plots with a garden."""
     built = unary_union(
         [covered(houses), *garden_paths(houses), *car_parks(houses), forecourts(houses), layout.islands]
     )
@@ -73,7 +73,7 @@ def _garden(layout: Layout, house: House, taken: Any, seen: Any, rng: np.random.
 
 
 def _open_ground(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterator[Mesh]:
-    """Enclosures and shrubs where no house stands at the street; all lower than 1 m or so."""
+    """Yield enclosures and shrubs at streets without houses; all lower than about 1 m."""
     shapely.prepare(taken)
     edges = [edge for edge in layout.graph.edges_of("ground") if not layout.graph.kind(edge).guard_rails]
     kinds = {edge.getID(): drawn_name(layout.style.fences, rng) for edge in edges}
@@ -92,7 +92,7 @@ def _open_ground(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterat
 
 
 def _scattered_shrubs(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterator[Mesh]:
-    """Low shrubs and beds on open ground that cameras look at from near by, and on islands."""
+    """Yield low shrubs and beds on open ground near cameras and in their view, and on islands."""
     shapely.prepare(taken)
     for site in layout.sites:
         for _ in range(GARDEN_LIMITS.shrub_tries):
@@ -114,7 +114,7 @@ def _scattered_shrubs(layout: Layout, taken: Any, rng: np.random.Generator) -> I
 
 
 def _enclosure_offset(layout: Layout, edge: Any, beyond: float) -> float:
-    """Distance from the kerb to the enclosure of the land beside a road, metres."""
+    """Return the distance from the kerb to the enclosure of the land beside a road, metres."""
     kind = layout.graph.kind(edge)
     sidewalk = kind.sidewalk + layout.style.plaza
     return LAND_USE.kerb_m + max(sidewalk, kind.shoulder + (2.4 if layout.style.kerb == 0 else 0.0)) + beyond
@@ -125,7 +125,7 @@ def _fits(taken: Any, house: House, a: tuple[float, float], b: tuple[float, floa
 
 
 def _boundary(kind: str, length: float, near: bool, rng: np.random.Generator) -> Mesh:
-    """One of several enclosures of about 0.9 m, along x around the origin."""
+    """Return an enclosure of about 0.9 m height, along x around the origin; `kind` selects its type."""
     if kind == "hedge":
         return hedge(length, rng.uniform(0.75, 0.95), 0.55, rng)
     if kind == "pickets":
@@ -140,7 +140,7 @@ def _boundary(kind: str, length: float, near: bool, rng: np.random.Generator) ->
 
 
 def _wire_fence(length: float) -> Solid:
-    """Timber posts with wires, as around pastures."""
+    """Return timber posts with wires, as around pastures."""
     half = length / 2
     out = Solid()
     for x in np.linspace(-half + 0.1, half, max(2, round(length / 2.8)), endpoint=False):
@@ -151,7 +151,7 @@ def _wire_fence(length: float) -> Solid:
 
 
 def _rail_fence(length: float) -> Solid:
-    """Posts with two boards, as around paddocks."""
+    """Return posts with two boards, as around paddocks."""
     half = length / 2
     out = Solid()
     for x in np.linspace(-half + 0.1, half, max(2, round(length / 2.4)), endpoint=False):

@@ -1,7 +1,7 @@
-"""The ground as polygons in the plane, each part cut out of those below it, then raised to the ground's heights; kerbs,
-retaining walls and parapets along its edges.
+"""Ground as polygons in the plane, raised to the ground's heights.
 
-No two surfaces share a place, and neighbours share their corners.
+Kerbs, retaining walls and parapets along its edges. Each part is cut out of the parts below it. Surfaces do not
+overlap, and neighbours share their corners.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -28,11 +28,11 @@ class GroundSizes:
     """Sizes of kerbs, walls and the ground."""
 
     wall_m: float = 0.4
-    """Height from which a step between carriageway and ground is a retaining wall, metres."""
+    """Minimum height of a step between carriageway and ground that is a retaining wall, metres."""
     kerb_piece_m: float = 2.0
-    """Length of the pieces that kerbs on slopes are made of, metres."""
+    """Length of the segments of kerbs on slopes, metres."""
     margin_m: float = 320.0
-    """Distance by which the ground goes beyond the network, metres."""
+    """Margin of the ground beyond the network, metres."""
     gutter_m: float = 0.32
     """Width of a gutter, metres."""
 
@@ -41,7 +41,7 @@ GROUND_SIZES: Final = GroundSizes()
 
 
 def kerbs(layout: Layout) -> Iterator[Mesh]:
-    """Kerbs and retaining walls between the carriageway and the ground beside it, with parapets on high ones."""
+    """Yield kerbs and retaining walls between the carriageway and the ground beside it, with parapets on high walls."""
     ground = layout.ground
     decks = unary_union([deck.buffer(layout.deck_edge, join_style="mitre") for deck in layout.graph.decks])
     for ring in rings(shapely.set_precision(layout.graph.ground_road, GRID_M)):
@@ -67,7 +67,7 @@ def kerbs(layout: Layout) -> Iterator[Mesh]:
 
 
 def _wall_strip(line: Array, low: Array, high: Array, chosen: NDArray[np.bool_], material: str) -> Mesh:
-    """Vertical quadrilaterals along a line (N, 2), between two heights at each point, facing its right-hand side."""
+    """Return vertical quadrilaterals along a line (N, 2), between two heights per point, facing its right-hand side."""
     start, end = np.column_stack([line[:-1], low[:-1]]), np.column_stack([line[1:], low[1:]])
     over_end, over_start = np.column_stack([line[1:], high[1:]]), np.column_stack([line[:-1], high[:-1]])
     corners = np.stack([start, end, over_end, over_start], axis=1)
@@ -76,7 +76,7 @@ def _wall_strip(line: Array, low: Array, high: Array, chosen: NDArray[np.bool_],
 
 
 def _parapets_along(line: Array, base: Array, chosen: NDArray[np.bool_]) -> Iterator[Mesh]:
-    """A low wall behind a line's left-hand side, with a rail on it."""
+    """Yield a low wall on a line's left-hand side, with a rail on it."""
     for first, last in runs_of_true(chosen):
         path, z = LineString(line[first : last + 1]), base[first : last + 1]
         if path.length < 1.0:
@@ -85,7 +85,7 @@ def _parapets_along(line: Array, base: Array, chosen: NDArray[np.bool_]) -> Iter
 
 
 def parapet(line: Array, base: Array, thickness: float) -> Iterator[Mesh]:
-    """A wall of 0.8 m from a line (N, 2) to its left, at heights (N,), with a steel rail on top."""
+    """Yield a wall of 0.8 m height from a line (N, 2) to its left, at heights (N,), with a steel rail on top."""
     back = np.array(LineString(line).offset_curve(thickness, join_style="mitre").coords)
     if len(back) != len(line):  # a bend so sharp that its inner side lost a corner
         back = line + thickness * left_of(line)
@@ -115,20 +115,20 @@ def parapet(line: Array, base: Array, thickness: float) -> Iterator[Mesh]:
 
 
 def left_of(line: Array) -> Array:
-    """(N, 2) unit vectors to the left of a line at its points."""
+    """Return unit vectors (N, 2) to the left of a line at its points."""
     forward = np.gradient(line, axis=0)
     forward /= np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-9)
     return np.stack([-forward[:, 1], forward[:, 0]], axis=1)
 
 
 def runs_of_true(chosen: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """First and one past the last index of each run of True."""
+    """Yield the first and one past the last index of each run of True."""
     edges = np.diff(np.concatenate([[0], chosen.astype(np.int8), [0]]))
     yield from zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
 
 
 def rings(shape: Any) -> Iterator[Array]:
-    """Rings (N, 2) of a region, with the region's inside on their right."""
+    """Yield the rings (N, 2) of a region, with the region's inside on their right."""
     for polygon in polygons(shape):
         turned = shapely.geometry.polygon.orient(polygon, sign=-1.0)
         for ring in (turned.exterior, *turned.interiors):
@@ -137,7 +137,7 @@ def rings(shape: Any) -> Iterator[Array]:
 
 @dataclass(frozen=True)
 class Part:
-    """One material's share of the ground."""
+    """Share of the ground with one material."""
 
     material: str
     region: Any
@@ -146,7 +146,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Beside:
-    """Areas beside the carriageway that other modules lay out: paths, drives, car parks."""
+    """Areas beside the carriageway that other modules define: paths, drives, car parks."""
 
     forecourts: Any
     walks: Any
@@ -155,7 +155,7 @@ class Beside:
     lay_bys: Any
     """Bays along kerbs."""
     footings: Any
-    """Bare soil at walls' feet."""
+    """Bare soil at the foot of walls."""
     pits: Any
     """Bare soil around trees in the sidewalk."""
 
@@ -163,7 +163,7 @@ class Beside:
 def ground_parts(
     layout: Layout, beside_road: Beside, rng: np.random.Generator, hatched: Sequence[Polygon] = ()
 ) -> list[Part]:
-    """All of the ground; what is beside the carriageway lies a kerb's height above it.
+    """Return all parts of the ground; parts beside the carriageway lie a kerb's height above it.
 
     `hatched` are stripes that are painted on the carriageway in addition to its usual markings.
     """
@@ -219,7 +219,7 @@ def ground_parts(
 
 
 def _share_out(whole: Any, layers: Sequence[tuple[str, Any]], *, carriageway: bool) -> list[Part]:
-    """Share a region out: each layer gets what the ones before it left."""
+    """Divide a region: each layer gets its part of the area that the previous layers left."""
     out, left = [], shapely.set_precision(whole, GRID_M)
     for material, region in layers:
         if region.is_empty:
@@ -231,12 +231,12 @@ def _share_out(whole: Any, layers: Sequence[tuple[str, Any]], *, carriageway: bo
 
 
 def _only_polygons(shape: Any) -> Any:
-    """A shape without the points and lines that overlays leave."""
+    """Return a shape without the points and lines that overlays leave."""
     return shapely.MultiPolygon(polygons(shape))
 
 
 def _flush_decks(layout: Layout) -> Any:
-    """Decks, sidewalks included, that continue the ground beside the carriageway that they lead over."""
+    """Return decks, with sidewalks, that continue the ground beside the carriageway that they cross."""
     graph = layout.graph
     out = []
     for deck in graph.decks:
@@ -249,7 +249,7 @@ def _flush_decks(layout: Layout) -> Any:
 
 
 def _fields(layout: Layout, everywhere: Any, rng: np.random.Generator) -> Iterator[tuple[str, Any]]:
-    """Open ground in strips and squares of several kinds, away from the roads."""
+    """Yield open ground in strips and squares of several kinds, away from the roads."""
     kinds = layout.style.open_ground
     if len(kinds) < 2:
         return
@@ -271,7 +271,7 @@ def _fields(layout: Layout, everywhere: Any, rng: np.random.Generator) -> Iterat
 
 
 def ground_meshes(layout: Layout, parts: Sequence[Part]) -> Iterator[Mesh]:
-    """The parts as meshes at the ground's heights, and the kerbs between them."""
+    """Yield the parts as meshes at the ground's heights, and the kerbs between them."""
     kerb, ground = layout.style.kerb, layout.ground
     x0, y0, x1, y1 = layout.graph.ground_road.bounds
     bounds = (
@@ -293,7 +293,7 @@ def ground_meshes(layout: Layout, parts: Sequence[Part]) -> Iterator[Mesh]:
 def surfaces(
     parts: Sequence[Part], height: Callable[[Array], Array], cells: NDArray[np.object_] | None
 ) -> Iterator[Mesh]:
-    """Parts of the plane, raised to a height at each corner: cut into cells where they are not level."""
+    """Yield parts of the plane, raised to a height at each corner; parts that are not level are cut into cells."""
     shapes, owners = [], []
     for number, part in enumerate(parts):
         pieces = polygons(part.region) if cells is None else _in_cells(polygons(part.region), cells)
@@ -311,7 +311,10 @@ def surfaces(
 
 
 def _in_cells(shapes: Sequence[Polygon], cells: NDArray[np.object_]) -> list[Polygon]:
-    """Pieces of polygons, one cell each; first cut by large squares, so that no large polygon is cut often."""
+    """Return pieces of polygons, one cell each.
+
+    The polygons are first cut by large squares, so that no large polygon is cut often.
+    """
     low, high = (
         np.floor(shapely.total_bounds(cells)[:2] / TERRAIN_CELLS.coarsest_m),
         shapely.total_bounds(cells)[2:] / TERRAIN_CELLS.coarsest_m,
@@ -331,7 +334,7 @@ def _cut_by(shapes: Sequence[Polygon], cells: NDArray[np.object_], precision: fl
 
 
 def _tactile_paving(graph: RoadGraph, road: Any) -> Any:
-    """Ribbed paving on the sidewalk at both ends of crossings."""
+    """Return ribbed paving on the sidewalk at both ends of crossings."""
     stripes = unary_union(list(zebra_stripes(graph)))
     spans = polygons(stripes.buffer(0.6, join_style="mitre"))
     ends = unary_union([span.minimum_rotated_rectangle.buffer(0.8, join_style="mitre") for span in spans])

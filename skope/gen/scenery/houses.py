@@ -1,4 +1,4 @@
-"""Buildings in rows along the roads and behind them, as the town's style has them."""
+"""Buildings in rows along the roads and behind them, in the town's style."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -22,12 +22,12 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class HouseLimits:
-    """Where houses stand."""
+    """Limits for the positions of houses."""
 
     open_view_m: float = 38.0
-    """Houses do not stand in a camera's view of road that is nearer to it than this, metres."""
+    """Radius around a camera in which its view of the road is free of houses, metres."""
     largest_fall_m: float = 2.2
-    """Largest fall of the ground under a house, metres; nothing is built on steeper ground."""
+    """Maximum fall of the ground under a house, metres; steeper ground has no buildings."""
 
 
 HOUSE_LIMITS: Final = HouseLimits()
@@ -45,19 +45,19 @@ _FACADE_AXES: Final = {
 
 @dataclass(frozen=True, eq=False)
 class House:
-    """A building and its plot."""
+    """Building and its plot."""
 
     kind: BuildingKind
     center: Array
     """(2,) middle of the footprint, metres."""
     heading: float
-    """Direction of the street before the house, radians; the front looks to the left of it."""
+    """Direction of the street in front of the house, radians; the front faces the left of it."""
     size: tuple[float, float]
     """Size along the street and across it, metres."""
     setback: float
     """Distance from the sidewalk to the front, metres; 0 behind the rows."""
     detail: int
-    """2 near a camera, 0 where no camera makes out more than walls and windows."""
+    """Level of detail: 2 near a camera, 0 at distances where only walls and windows are visible."""
     floor: float
     """Height of the ground at the house's highest corner, metres."""
     footing: float
@@ -76,7 +76,7 @@ class House:
         return rectangle_polygon(self.center, self.heading, *self.size)
 
     def to_world(self, local: Array) -> Array:
-        """Points (..., 2) of the house's frame in the world."""
+        """Transform points (..., 2) from the house's frame to the world."""
         c, s = np.cos(self.heading), np.sin(self.heading)
         return np.asarray(local @ np.array([[c, s], [-s, c]]) + self.center)
 
@@ -92,7 +92,7 @@ def _house(
 
 
 def house_plots(layout: Layout, rng: np.random.Generator) -> list[House]:
-    """The houses of a town, in rows along the right-hand sides of its edges, and some behind them."""
+    """Return the houses of a town, in rows along the right-hand sides of its edges, and some behind them."""
     out: list[House] = []
     taken = Taken(layout)
     fronts = [edge for edge in layout.graph.edges if layout.graph.kind(edge).form != "bridge"]
@@ -123,7 +123,7 @@ def house_plots(layout: Layout, rng: np.random.Generator) -> list[House]:
 
 
 class Taken:
-    """Areas where no further house may stand."""
+    """Areas in which no further house fits."""
 
     def __init__(self, layout: Layout) -> None:
         walled = layout.graph.walled_road
@@ -141,7 +141,7 @@ class Taken:
         self._houses: list[tuple[Polygon, bool]] = []
 
     def has_room_for(self, house: House) -> bool:
-        """Whether a house fits, with its car park; if so their place is taken."""
+        """Return whether a house fits, with its car park; if it does, reserve the area."""
         footprint = house.footprint
         if house.floor - house.footing > HOUSE_LIMITS.largest_fall_m:
             return False
@@ -239,7 +239,7 @@ def _draw_style(kind: BuildingKind, rng: np.random.Generator) -> FacadeStyle:
 
 
 def _building(house: House, style: FacadeStyle, joined: tuple[bool, bool], rng: np.random.Generator) -> Solid:
-    """A house around the origin with its front towards +y; a side (+x, -x) that joins another house is blank."""
+    """Return a house around the origin with its front towards +y; a side (+x, -x) that joins another house is blank."""
     x, y = house.size[0] / 2, house.size[1] / 2
     out = Solid()
     shop = None
@@ -298,7 +298,7 @@ def _put_roof(out: Solid, house: House, style: FacadeStyle, rng: np.random.Gener
 def _put_into_slope(
     out: Solid, x: float, y: float, eaves: float, pitch: float, covering: str, rng: np.random.Generator
 ) -> None:
-    """Dormers or roof windows in the slope towards the street."""
+    """Add dormers or roof windows in the slope towards the street."""
     look, places = rng.random(), np.array([-0.45, 0.45]) * x
     thickness = roof.ROOF_SIZES.thickness_m
     for at in places:
@@ -310,7 +310,7 @@ def _put_into_slope(
 
 
 def forecourts(houses: list[House]) -> Any:
-    """Paved ground between the sidewalk and the fronts of shops, and around buildings without gardens."""
+    """Return paved ground between the sidewalk and the fronts of shops, and around buildings without gardens."""
     strips = [house.footprint.buffer(2.5, join_style="mitre") for house in houses if house.kind.form == "tower"]
     for house in houses:
         if house.setback and not house.kind.garden and not house.kind.parking:
@@ -321,7 +321,7 @@ def forecourts(houses: list[House]) -> Any:
 
 
 def car_parks(houses: list[House]) -> tuple[Any, Any]:
-    """Asphalt before halls and the ways to it from the road."""
+    """Return asphalt in front of halls and the drives to it from the road."""
     lots, ways = [], []
     for house in houses:
         if not house.kind.parking:
@@ -337,7 +337,7 @@ def car_parks(houses: list[House]) -> tuple[Any, Any]:
 
 
 def garden_paths(houses: list[House]) -> tuple[Any, Any]:
-    """Paved paths and gravel drives from the sidewalk to houses with gardens."""
+    """Return paved paths and gravel drives from the sidewalk to houses with gardens."""
     walks, drives = [], []
     for i, house in enumerate(houses):
         x, y, d = house.size[0] / 2, house.size[1] / 2, house.setback + 0.3
@@ -347,7 +347,7 @@ def garden_paths(houses: list[House]) -> tuple[Any, Any]:
             )
         if not house.kind.garden or house.setback == 0.0:
             continue
-        # Doors are somewhere in the front: the path leads to its middle and along it.
+        # The door can be anywhere in the front: the path leads to the middle of the front and along it.
         ring = [[-0.6, y], [0.6, y], [0.6, y + d], [-0.6, y + d]]
         walks += [Polygon(house.to_world(np.array(ring)))]
         walks += [
@@ -363,7 +363,7 @@ def _has_drive(i: int, house: House) -> bool:
 
 
 def drive_bays(houses: list[House]) -> list[Bay]:
-    """Bays on the drives beside houses."""
+    """Return bays on the drives beside houses."""
     out = []
     for i, house in enumerate(houses):
         if _has_drive(i, house):

@@ -15,18 +15,18 @@ _WALL_AXES: Final = (
     ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)),
     ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0)),
 )
-"""Axes of front, back, right and left wall: x along the wall, y up, z out of it."""
+"""Axes of front, back, right and left wall: x along the wall, y up, z outwards."""
 SIGN_MATERIALS: Final = ("fascia_red", "fascia_blue", "fascia_green", "sign_yellow", "fascia_black")
 
 
 def _wall_origins(half: tuple[float, float]) -> tuple[tuple[tuple[float, float, float], float], ...]:
-    """Origin and width of the four walls of a rectangle, in the order of `_WALL_AXES`."""
+    """Return origin and width of the four walls of a rectangle, in the order of `_WALL_AXES`."""
     x, y = half
     return ((x, y, 0.0), 2 * x), ((-x, -y, 0.0), 2 * x), ((x, -y, 0.0), 2 * y), ((-x, y, 0.0), 2 * y)
 
 
 def tower(kind: BuildingKind, half: tuple[float, float], detail: int, rng: np.random.Generator) -> Solid:
-    """Storeys of glass between floors and piers, over a glazed ground floor; plant on the roof."""
+    """Return storeys of glass between floors and piers, above a glazed ground floor; plant on the roof."""
     storeys, wall = int(rng.integers(kind.storeys[0], kind.storeys[1] + 1)), str(rng.choice(kind.walls))
     style = rng.choice(["bands", "piers", "grid"])
     top = kind.ground + kind.storey * storeys
@@ -91,7 +91,10 @@ def _office_front(kind: BuildingKind, wall: str, style: str, width: float, store
 
 
 def hall(kind: BuildingKind, half: tuple[float, float], near: bool, rng: np.random.Generator) -> Solid:
-    """Sheet metal on a plinth; a shop's glazed entrance with its sign, or a warehouse's gates and high windows."""
+    """Return a sheet-metal hall on a plinth.
+
+    A shop has a glazed entrance with its sign, a warehouse has gates and high windows.
+    """
     wall, (x, y), top = str(rng.choice(kind.walls)), half, kind.ground
     out = Solid()
     for i, ((origin, width), axes) in enumerate(zip(_wall_origins(half), _WALL_AXES, strict=True)):
@@ -144,7 +147,7 @@ def _entrance(width: float, top: float, rng: np.random.Generator) -> Solid:
 
 
 def barn(kind: BuildingKind, half: tuple[float, float], rng: np.random.Generator) -> Solid:
-    """Boards under a steep roof, with a gate in the gable and in the long side."""
+    """Return boards under a steep roof, with a gate in the gable and in the long side."""
     wall, covering = str(rng.choice(kind.walls)), str(rng.choice(kind.roofs))
     eaves = kind.ground * rng.uniform(0.85, 1.1)
     out = roof.gabled(half, eaves, rng.uniform(0.62, 0.9) * half[1], 0.4, covering, wall)
@@ -169,7 +172,7 @@ def barn(kind: BuildingKind, half: tuple[float, float], rng: np.random.Generator
 
 
 def silo(kind: BuildingKind, radius: float, near: bool, rng: np.random.Generator) -> Mesh:
-    """A round tower with a dome and hoops."""
+    """Return a round tower with a dome and hoops."""
     wall, high = str(rng.choice(kind.walls)), kind.ground * rng.uniform(0.8, 1.15)
     profile = [(-0.4, radius), (high, radius), (high + 0.5 * radius, 0.75 * radius), (high + 0.75 * radius, 0.0)]
     parts = [lathe(profile, [wall, "zinc", "zinc"], 18, "z")]

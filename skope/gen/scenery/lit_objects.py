@@ -1,6 +1,6 @@
-"""Things beside roads that burn or shine at night and are no vehicles: lamps, works lamps, plants with lamps in them.
+"""Objects beside roads that are lit at night and are not vehicles: lamps, works lamps, plants with lamps in them.
 
-x along the road, y towards it, z up, metres; they reach below the ground, which may fall under them.
+x along the road, y towards it, z up, metres. They extend below the ground, which may slope down under them.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,12 +18,12 @@ from skope.gen.scenery.trees import bush
 
 
 def _in_row(one: Mesh, count: int, gap: float) -> Mesh:
-    """Copies of an object along x, their middle at the origin."""
+    """Return copies of an object along x, with their middle at the origin."""
     return merged(one.moved((gap * (k - (count - 1) / 2), 0.0, 0.0)) for k in range(count))
 
 
 def _recolored(mesh: Mesh, names: Mapping[str, str]) -> Mesh:
-    """The mesh with other materials in place of some of its own."""
+    """Return the mesh with some of its materials replaced."""
     return replace(mesh, materials=tuple(names.get(name, name) for name in mesh.materials))
 
 
@@ -34,7 +34,7 @@ def _ball(center: tuple[float, float, float], radius: float, material: str) -> M
 
 
 def globe_lamps(rng: np.random.Generator) -> Mesh:
-    """One to three posts, each with a cluster of two to five globes: pairs look like headlights."""
+    """Return one to three posts, each with a cluster of two to five globes; pairs look like headlights."""
     globes, radius, high = int(rng.integers(2, 6)), float(rng.uniform(0.14, 0.28)), float(rng.uniform(2.6, 5.6))
     lamp = str(rng.choice(["lamp_white", "lamp_white", "lamp_warm"]))
     post = str(rng.choice(["iron", "zinc", "frame", "door_green"]))
@@ -62,7 +62,7 @@ def globe_lamps(rng: np.random.Generator) -> Mesh:
 
 
 def floodlights(rng: np.random.Generator) -> Mesh:
-    """Floodlights on a column, in pairs and rows, that look across the road."""
+    """Return floodlights on a column, in pairs and rows, that face across the road."""
     columns, rows, high = int(rng.integers(2, 5)), int(rng.integers(1, 3)), float(rng.uniform(4.5, 9.5))
     gap, lamp = float(rng.uniform(0.5, 0.8)), str(rng.choice(["lamp_white", "lamp_white", "lamp_warm"]))
     half = gap * (columns - 1) / 2
@@ -79,7 +79,7 @@ def floodlights(rng: np.random.Generator) -> Mesh:
 
 
 def low_lamp(rng: np.random.Generator) -> Mesh:
-    """A street light so low that it throws a bright patch on the road; it belongs to the street lights."""
+    """Return a street light that is low enough to cast a bright patch on the road; it counts as a street light."""
     high = float(rng.uniform(3.4, 5.4))
     reach = float(rng.uniform(2.0, 6.0)) if high > 4.6 else 0.3
     pole = lathe([(BELOW_GROUND_M, 0.09), (high, 0.06), (high + 0.02, 0.0)], ["pole"] * 2, 7, "z")
@@ -89,7 +89,7 @@ def low_lamp(rng: np.random.Generator) -> Mesh:
 
 
 def works_lamps(rng: np.random.Generator) -> Mesh:
-    """Beacons of road works on boards or posts, amber or red; of those that flash some are dark in a picture."""
+    """Return beacons of road works on boards or posts, amber or red; some flashing beacons are dark in an image."""
     count, gap = int(rng.integers(2, 6)), float(rng.uniform(1.3, 1.8))
     lamp, pale = ("lamp_red", "#992222") if rng.random() < 0.35 else ("lamp_amber", "#cc8822")
     boarded, flashing, high = rng.random() < 0.5, rng.random() < 0.6, float(rng.uniform(0.9, 1.25))
@@ -109,13 +109,13 @@ def works_lamps(rng: np.random.Generator) -> Mesh:
 
 
 def lit_arrow_trailer(rng: np.random.Generator) -> Mesh:
-    """A trailer of road works whose arrow or beacons burn."""
+    """Return a trailer of road works with a lit arrow or lit beacons."""
     lamp = str(rng.choice(["lamp_amber", "lamp_amber", "lamp_white"]))
     return _recolored(arrow_trailer(rng), {"#ff9911": lamp, "luminaire": lamp})
 
 
 def lit_plants(rng: np.random.Generator) -> Mesh:
-    """A row of bushes, or a small tree, lit by lamps at their feet or in their crowns."""
+    """Return a row of bushes, or a small tree, lit by lamps at their feet or in their crowns."""
     lamp = str(rng.choice(["lamp_white", "lamp_white", "lamp_warm"]))
     parts = []
     if rng.random() < 0.5:
@@ -133,7 +133,7 @@ def lit_plants(rng: np.random.Generator) -> Mesh:
     inside = int(rng.integers(5))
     for k, turn in enumerate(rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * np.arange(5) / 5):
         place = (0.55 * reach * np.cos(turn), 0.55 * reach * np.sin(turn), bare + rng.uniform(0.1, 0.7) * reach)
-        # Light from one lamp reaches the next clumps only.
+        # Light from one lamp reaches only the next clumps.
         lit = rng.random() < 0.85 if k in (inside, (inside + 1) % 5) else rng.random() < 0.4
         leaves = bush(0.75 * reach, rng)
         parts.append((_recolored(leaves, {"leaves": "leaves_lit"}) if lit else leaves).moved(place))
@@ -143,13 +143,13 @@ def lit_plants(rng: np.random.Generator) -> Mesh:
 
 
 def lit_shelter(_: np.random.Generator) -> Mesh:
-    """A bus shelter with a lamp under its roof and a poster that is lit from behind."""
+    """Return a bus shelter with a lamp under its roof and a backlit poster."""
     lit = _recolored(bus_shelter(), {"sign_yellow": "lit_white", "balustrade": "lit_dim"})
     return merged([lit, box((-1.7, -0.1, 2.24), (1.7, 0.05, 2.3), "lamp_white")])
 
 
 def shop_sign(rng: np.random.Generator) -> Mesh:
-    """A box on posts that is lit from inside, with words and prices, as shops and filling stations have it."""
+    """Return an internally lit box on posts, with words and prices, as at shops and filling stations."""
     width, rows = float(rng.uniform(0.9, 2.6)), int(rng.integers(1, 5))
     row, low = float(rng.uniform(0.5, 0.9)), float(rng.uniform(0.2, 2.6))
     high = low + rows * row
@@ -172,14 +172,14 @@ def shop_sign(rng: np.random.Generator) -> Mesh:
 
 
 def lit_panel(panel: Mesh, rng: np.random.Generator) -> Mesh:
-    """A panel on a wall, see `wall_panel`, as a sign that is lit from inside: its ground burns, its print does not."""
+    """Return a wall panel (see `wall_panel`) as an internally lit sign: its background is lit, its print is not."""
     lit = str(rng.choice(["lit_white", "lit_white", "lit_warm", "lit_red", "lit_green", "lit_blue"]))
     _frame, *printed = panel.materials
     return _recolored(panel, dict.fromkeys(printed[:1], lit))
 
 
 def cones(rng: np.random.Generator) -> Mesh:
-    """A row of cones or drums whose bands shine back."""
+    """Return a row of cones or drums with retroreflective bands."""
     count, body = int(rng.integers(3, 7)), str(rng.choice(["#ff5511", "#ff5511", "#ee4411", "sign_red"]))
     band = str(rng.choice(["lit_dim", "sign_white"]))
     if rng.random() < 0.6:
@@ -199,7 +199,7 @@ def cones(rng: np.random.Generator) -> Mesh:
 
 
 def reflector_posts(rng: np.random.Generator) -> Mesh:
-    """Marker posts in pairs whose reflectors shine back, as far from each other as a car's lamps."""
+    """Return marker posts in pairs with reflectors at the spacing of a car's lamps."""
     reflector = str(rng.choice(["lit_white", "lit_amber", "lit_red", "lamp_white", "lamp_amber"]))
     body, high = str(rng.choice(["frame", "iron", "sign_yellow", "#ff6611"])), float(rng.uniform(0.7, 1.1))
     apart, round_ones = float(rng.uniform(0.9, 1.7)), rng.random() < 0.5
@@ -232,7 +232,7 @@ LIT_OBJECTS: Final[Mapping[MakeLit, float]] = {
     sign_gantry: 2.0,
     gore_boards: 2.0,
 }
-"""Objects that burn or shine at night, with their shares."""
+"""Objects that are lit at night, with their shares."""
 FACING_ROAD: Final = (
     "globe_lamps",
     "low_lamp",
@@ -242,4 +242,4 @@ FACING_ROAD: Final = (
     "works_lamps",
     "lit_shelter",
 )
-"""Names of those that stand along the road, with their y axis towards it."""
+"""Names of the objects that are placed along the road, with their y axis towards it."""

@@ -1,5 +1,8 @@
-"""Polygons on the road: edge lines, lane lines, stop lines, arrows, crossings for pedestrians; and its wear, which is
-wheel tracks, patches, cracks and covers."""
+"""Polygons on the road: its markings and its wear.
+
+Markings are edge lines, lane lines, stop lines, arrows and pedestrian crossings. Wear is wheel tracks, patches, cracks
+and covers.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -39,14 +42,14 @@ class MarkingSizes:
     line_half_m: float = 0.06
     """Half of a line's width, metres."""
     through_m: float = 12.0
-    """Lines are continued through junctions of two edges that are shorter than this, metres."""
+    """Maximum length of junctions of two edges through which lines continue, metres."""
 
 
 MARKING_SIZES: Final = MarkingSizes()
 
 
 def markings(graph: RoadGraph) -> Iterator[Polygon]:
-    """Centre and edge lines (solid), lane lines (dashed), stop lines and arrows."""
+    """Yield centre and edge lines (solid), lane lines (dashed), stop lines and arrows."""
     for edge in graph.edges:
         lanes, kind = driven(edge), graph.kind(edge)
         right = LineString(lanes[0].getShape())
@@ -69,9 +72,12 @@ def markings(graph: RoadGraph) -> Iterator[Polygon]:
 
 
 def _left_line(graph: RoadGraph, edge: Any, shape: LineString, half: float) -> Iterator[Polygon]:
-    """The line to the left of an edge's lanes; where the other direction is beside, both draw one: a double line."""
+    """Yield the line to the left of an edge's lanes.
+
+    Adjacent opposite edges both draw one, which gives a double line.
+    """
     if graph.kind(edge).edge_lines and not _is_divided(edge):
-        # Overtaking is allowed: a broken line, drawn by one of the two directions.
+        # If overtaking is allowed, one of the two directions draws a broken line.
         if edge.getID() < min((e.getID() for e in _opposite_edges(edge)), default="~"):
             left = shape.offset_curve(half)
             for start in np.arange(4.0, left.length - 6.0, 12.0):
@@ -87,7 +93,7 @@ def _opposite_edges(edge: Any) -> list[Any]:
 
 
 def _is_divided(edge: Any) -> bool:
-    """Whether no opposite lanes touch an edge's."""
+    """Return whether no opposite lanes touch an edge's lanes."""
     mine = LineString(driven(edge)[-1].getShape())
     return not any(
         LineString(driven(other)[-1].getShape()).distance(mine) < driven(edge)[-1].getWidth() + 0.3
@@ -106,7 +112,7 @@ def _lane_line(edge: Any, left: LineString) -> Iterator[Polygon]:
 
 
 def _lines_through_joints(graph: RoadGraph) -> Iterator[Polygon]:
-    """Outer lines across short joints of the network, where a road merely changes its number of lanes."""
+    """Yield outer lines across short joints of the network, where a road only changes its number of lanes."""
     for edge in graph.edges:
         followers = [e for e in edge.getOutgoing() if not e.isSpecial()]
         if len(followers) != 1 or joins(edge) > 2 or is_signalled(edge):
@@ -126,7 +132,7 @@ def _lines_through_joints(graph: RoadGraph) -> Iterator[Polygon]:
 
 
 def _give_way(shape: LineString, half: float) -> Iterator[Polygon]:
-    """A broken line of short dashes across the lane."""
+    """Yield a broken line of short dashes across the lane."""
     end = np.array(shape.coords[-1])
     before = np.array(shape.interpolate(shape.length - 1.0).coords[0])
     along = (end - before) / np.hypot(*(end - before))
@@ -136,7 +142,7 @@ def _give_way(shape: LineString, half: float) -> Iterator[Polygon]:
 
 
 def _arrows(lane: Any, shape: LineString) -> Iterator[Polygon]:
-    """Arrows for the directions that a lane leads in, painted on it twice."""
+    """Yield arrows for the directions of a lane, painted on it twice."""
     ways = {connection.getDirection().lower() for connection in lane.getOutgoing()} & {"s", "l", "r"}
     if ways == {"s"} and not is_signalled(lane.getEdge()):
         return
@@ -151,7 +157,7 @@ def _arrows(lane: Any, shape: LineString) -> Iterator[Polygon]:
 
 
 def _arrow(ways: set[str]) -> Any:
-    """An arrow of 4.5 m that points along +x, with a branch to each side that the lane leads to."""
+    """Return an arrow of 4.5 m that points along +x, with a branch for each turn of the lane."""
     stem = 2.6 if "s" in ways else 2.0
     parts = [Polygon([(-2.2, -0.08), (stem - 1.2, -0.08), (stem - 1.2, 0.08), (-2.2, 0.08)])]
     if "s" in ways:
@@ -169,12 +175,12 @@ def _arrow(ways: set[str]) -> Any:
 
 
 def hatching(place: Array, heading: float, rng: np.random.Generator) -> list[Polygon]:
-    """A hatched area of chevrons or slanting stripes, as where lanes part and end; its right rim begins at a place.
+    """Return a hatched area of chevrons or slanting stripes, as where lanes split and end.
 
     Args:
-        place: (2,) where it begins.
-        heading: Direction in which it runs on, radians.
-        rng: Draws.
+        place: (2,) start of its right edge.
+        heading: Direction of the area, radians.
+        rng: Random generator.
     """
     long, wide, thick = rng.uniform(8.0, 20.0), rng.uniform(1.2, 2.6), rng.uniform(0.3, 0.6)
     step, lean = thick + rng.uniform(0.6, 1.4), rng.uniform(0.5, 1.2) * rng.choice([-1.0, 1.0])
@@ -189,9 +195,9 @@ def hatching(place: Array, heading: float, rng: np.random.Generator) -> list[Pol
 
 
 def zebra_stripes(graph: RoadGraph) -> Iterator[Polygon]:
-    """Zebra stripes across the carriageway where edges with sidewalks lead to a signalled junction.
+    """Yield zebra stripes across the carriageway where edges with sidewalks lead to a signalled junction.
 
-    In the corner of a narrow junction, where two crossings would meet, there are none.
+    The corner of a narrow junction, where two crossings would meet, has no stripes.
     """
     zebras = [zebra for edge in graph.edges if (zebra := _zebra(graph, edge))]
     hulls = [shapely.MultiPolygon([stripe for stripe, _ in zebra]).convex_hull for zebra in zebras]
@@ -201,7 +207,7 @@ def zebra_stripes(graph: RoadGraph) -> Iterator[Polygon]:
 
 
 def _zebra(graph: RoadGraph, edge: Any) -> list[tuple[Polygon, bool]]:
-    """An edge's stripes, and which of them lie before lanes that begin or end there."""
+    """Return an edge's stripes, and whether each lies before lanes that begin or end there."""
     if not is_signalled(edge) or not graph.kind(edge).sidewalk:
         return []
     road, lane = graph.ground_road, driven(edge)[-1]
@@ -232,7 +238,10 @@ def _zebra(graph: RoadGraph, edge: Any) -> list[tuple[Polygon, bool]]:
 
 
 def _chord(road: Any, middle: Array, across: Array) -> tuple[float, float] | None:
-    """Reach of the road to both sides of a place on it, along a direction, metres; None beside it."""
+    """Return the extent of the road to both sides of a position along a direction, metres.
+
+    None if it is off the road.
+    """
     chord = road.intersection(LineString([middle - 32 * across, middle + 32 * across]))
     pieces = [piece for piece in getattr(chord, "geoms", [chord]) if piece.distance(shapely.Point(middle)) < 0.1]
     if not pieces:
@@ -242,7 +251,7 @@ def _chord(road: Any, middle: Array, across: Array) -> tuple[float, float] | Non
 
 
 def tracks(layout: Layout, width: float) -> Any:
-    """Areas that wheels run over: two strips along each lane."""
+    """Return the areas under wheels: two strips along each lane."""
     strips = []
     for edge in layout.graph.edges:
         for lane in driven(edge):
@@ -252,7 +261,7 @@ def tracks(layout: Layout, width: float) -> Any:
 
 
 def repairs(layout: Layout, rng: np.random.Generator) -> tuple[Any, Any, Any]:
-    """Dark new patches, pale old ones, and bitumen: their sealed edges and sealed cracks."""
+    """Return dark new patches, pale old patches, and bitumen: the sealed edges of patches and sealed cracks."""
     new, old, cracks = [], [], []
     for edge in layout.graph.edges:
         half = half_width(edge)
@@ -270,7 +279,7 @@ def repairs(layout: Layout, rng: np.random.Generator) -> tuple[Any, Any, Any]:
                 old.append(shape)
             elif kind < 0.52:  # a trench across the lanes
                 new.append(rectangle_polygon(middle, heading, rng.uniform(0.6, 0.9), 2 * half))
-            elif kind < 0.60:  # a trench along them
+            elif kind < 0.60:  # a trench along the lanes
                 old.append(rectangle_polygon(at, heading, rng.uniform(8.0, 16.0), 0.7))
             else:
                 cracks.append(_crack(at, heading + rng.choice([0.0, 0.0, np.pi / 2]), rng))
@@ -287,7 +296,7 @@ def repairs(layout: Layout, rng: np.random.Generator) -> tuple[Any, Any, Any]:
 
 
 def _random_place(region: Any, rng: np.random.Generator) -> Array:
-    """A random place (2,) inside a region."""
+    """Return a random position (2,) inside a region."""
     x0, y0, x1, y1 = region.bounds
     while True:
         place = rng.uniform((x0, y0), (x1, y1))
@@ -296,7 +305,7 @@ def _random_place(region: Any, rng: np.random.Generator) -> Array:
 
 
 def _crack(at: Array, heading: float, rng: np.random.Generator) -> Polygon:
-    """A wandering sealed crack of a few metres."""
+    """Return an irregular sealed crack of a few metres."""
     steps = int(rng.integers(6, 16))
     turn = heading + rng.normal(0.0, 0.45, steps)
     line = at + 0.45 * np.cumsum(np.stack([np.cos(turn), np.sin(turn)], axis=1), axis=0)
@@ -304,7 +313,7 @@ def _crack(at: Array, heading: float, rng: np.random.Generator) -> Polygon:
 
 
 def covers(layout: Layout, rng: np.random.Generator) -> Iterator[Polygon]:
-    """Manhole covers in the lanes and drain grates in the gutters of roads with sidewalks."""
+    """Yield manhole covers in the lanes and drain grates in the gutters of roads with sidewalks."""
     for edge in layout.graph.edges:
         if not layout.graph.kind(edge).sidewalk:
             continue

@@ -1,6 +1,7 @@
-"""Prints on posters and signs: flat pictures of vehicles, logos and rows of letters.
+"""Prints on posters and signs: flat images of vehicles, logos and rows of letters.
 
-All lie in the plane of a panel, x to the right, y up and z out of it, metres; each layer `LAYER_GAP_M` before the last.
+They lie in the plane of a panel, x to the right, y up and z outwards, metres. Each layer is `LAYER_GAP_M` in front of
+the previous one.
 """
 
 import colorsys
@@ -14,7 +15,7 @@ from skope.gen.scenery.quads import Solid
 from skope.types import Array
 
 LAYER_GAP_M: Final = 0.012
-"""Distance between layers, metres: more than a depth buffer confuses."""
+"""Distance between layers, metres: large enough for the depth buffer to separate them."""
 
 _Outline = Sequence[tuple[float, float]]
 _SIDE_VIEWS: Final[Mapping[str, tuple[Sequence[_Outline], Sequence[_Outline], Sequence[float]]]] = {
@@ -62,7 +63,7 @@ _SIDE_VIEWS: Final[Mapping[str, tuple[Sequence[_Outline], Sequence[_Outline], Se
         (0.12, 0.68, 0.82),
     ),
 }
-"""Side views of vehicles of length 1: body, windows, and where wheels are."""
+"""Side views of vehicles of length 1: body, windows, and positions of the wheels."""
 _BODY_FRONT: Final = (
     ((0.05, 0.10), (0.95, 0.10), (1.0, 0.28), (0.0, 0.28)),
     ((0.0, 0.28), (1.0, 0.28), (0.94, 0.46), (0.06, 0.46)),
@@ -72,14 +73,14 @@ _BODY_FRONT: Final = (
 
 
 def drawn_color(rng: np.random.Generator, saturation: float = 0.75) -> str:
-    """A colour such as "#a03020", up to a saturation (0..1); two in five are grey."""
+    """Return a random colour such as "#a03020" up to a saturation (0..1); two in five are grey."""
     grey = rng.random() < 0.4
     hue, saturated, value = rng.random(), 0.0 if grey else saturation * rng.uniform(0.3, 1.0), rng.uniform(0.08, 0.95)
     return "#" + "".join(f"{17 * round(15 * channel):02x}" for channel in colorsys.hsv_to_rgb(hue, saturated, value))
 
 
 def poster(width: float, height: float, rng: np.random.Generator) -> Solid:
-    """A printed panel from the origin: a picture of a vehicle or a logo before a plain or divided ground, with text."""
+    """Return a printed panel from the origin: a vehicle or a logo on a plain or divided background, with text."""
     out = Solid()
     out.pane(drawn_color(rng), (0.0, width), (0.0, height), 0.0)
     if rng.random() < 0.6:  # a road, a band or a sky
@@ -100,7 +101,7 @@ def poster(width: float, height: float, rng: np.random.Generator) -> Solid:
 
 
 def _put(out: Solid, picture: Solid, size: tuple[float, float], shape: float, rng: np.random.Generator) -> None:
-    """Put a picture of width 1 and height `shape` somewhere on a panel of a size, as large as it may be or smaller."""
+    """Put an image of width 1 and height `shape` at a random position on a panel, at a random size that fits."""
     width, height = size
     scale = min(0.94 * width, 0.9 * height / shape) * rng.uniform(0.7, 1.0)
     x, y = rng.uniform(0.03, 0.97, 2) * [width - scale, height - scale * shape]
@@ -108,7 +109,7 @@ def _put(out: Solid, picture: Solid, size: tuple[float, float], shape: float, rn
 
 
 def vehicle_from_side(rng: np.random.Generator) -> Solid:
-    """A vehicle of length 1 from its side, of few flat shapes."""
+    """Return the side view of a vehicle of length 1, made of few flat shapes."""
     body, windows, wheels = _SIDE_VIEWS[str(rng.choice(list(_SIDE_VIEWS)))]
     paint, glass = drawn_color(rng), str(rng.choice(["#112233", "#334455", "#8899aa"]))
     out, mirrored = Solid(), rng.random() < 0.5
@@ -131,7 +132,7 @@ def vehicle_from_side(rng: np.random.Generator) -> Solid:
 
 
 def vehicle_from_front(rng: np.random.Generator) -> Solid:
-    """A car of width 1 from the front or the rear, of few flat shapes."""
+    """Return the front or rear view of a car of width 1, made of few flat shapes."""
     paint, rear = drawn_color(rng), rng.random() < 0.35
     out = Solid()
     for x in (0.06, 0.76):
@@ -148,7 +149,7 @@ def vehicle_from_front(rng: np.random.Generator) -> Solid:
 
 
 def logo(rng: np.random.Generator) -> Solid:
-    """A sign of width and height 1: a disc, a ring, bars or a wedge, one in another."""
+    """Return a sign of width and height 1: a disc, a ring, bars or a wedge, inside each other."""
     out = Solid()
     for k in range(int(rng.integers(1, 4))):
         size, color, z = 0.5 * 0.62**k, drawn_color(rng), k * LAYER_GAP_M
@@ -166,7 +167,7 @@ def logo(rng: np.random.Generator) -> Solid:
 
 
 def letters(width: float, height: float, rng: np.random.Generator, color: str | None = None) -> Solid:
-    """A row of strokes that looks like a word from afar, of a colour or of a drawn one."""
+    """Return a row of strokes that looks like a word in a distant view; without `color`, its colour is random."""
     out, x, color = Solid(), 0.0, color or drawn_color(rng, 0.5)
     while x + 0.7 * height < width:
         wide = height * rng.uniform(0.35, 0.7)
@@ -189,6 +190,6 @@ def _rectangle(x: float, y: float, width: float, height: float) -> _Outline:
 
 
 def filled_disc(x: float, y: float, radius: float) -> Array:
-    """(12, 2) outline of a disc."""
+    """Return the outline (12, 2) of a disc."""
     angle = np.arange(12) * np.pi / 6
     return np.array([x, y]) + radius * np.column_stack([np.cos(angle), np.sin(angle)])

@@ -1,6 +1,6 @@
-"""Boards, posts and machines beside roads that resemble lamps and fronts of vehicles and are none.
+"""Boards, posts and machines beside roads that resemble lamps and fronts of vehicles.
 
-x along the road, y towards it, z up, metres; they reach below the ground, which may fall under them.
+x along the road, y towards it, z up, metres. They extend below the ground, which may slope down under them.
 """
 
 import itertools
@@ -23,14 +23,14 @@ _SIGN_COLORS: Final = (
     ("sign_white", "fascia_black"),
     ("sign_yellow", "fascia_black"),
 )
-"""Ground and ink of direction signs."""
+"""Background and text colours of direction signs."""
 _CHEVRON_COLORS: Final = (
     ("sign_red", "sign_white"),
     ("sign_white", "sign_red"),
     ("sign_white", "fascia_black"),
     ("sign_yellow", "fascia_black"),
 )
-"""Ground and arrowhead of boards in curves."""
+"""Background and arrowhead colours of boards in curves."""
 PARKING_PARTS: Final = (
     ((-0.1, 0.1), (-0.04, 0.1), (-0.04, 0.42), (-0.1, 0.42)),
     ((-0.04, 0.24), (0.1, 0.24), (0.1, 0.3), (-0.04, 0.3)),
@@ -41,7 +41,10 @@ PARKING_PARTS: Final = (
 
 
 def arrow_trailer(rng: np.random.Generator) -> Mesh:
-    """A trailer of road works with an upright panel: an arrow of lamps, or a white one on a blue disc over stripes."""
+    """Return a trailer of road works with an upright panel.
+
+    The panel has an arrow of lamps, or a white arrow on a blue disc over stripes.
+    """
     x, top = rng.uniform(0.85, 1.2), rng.uniform(2.6, 3.6)
     out = Solid()
     out.box("zinc", (-0.75, -1.2, 0.42), (0.75, 0.7, 0.56))
@@ -72,7 +75,7 @@ def arrow_trailer(rng: np.random.Generator) -> Mesh:
 
 
 def _stripes(out: Solid, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Red and white upright stripes on a panel."""
+    """Add red and white upright stripes to a panel."""
     count = max(4, round((x[1] - x[0]) / 0.25))
     edges = np.linspace(*x, count + 1)
     for k in range(count):
@@ -80,7 +83,7 @@ def _stripes(out: Solid, x: tuple[float, float], y: tuple[float, float]) -> None
 
 
 def _lamp_arrow(out: Solid, lamp: str, middle: tuple[float, float], side: float, way: int) -> None:
-    """An arrow of round lamps on a panel, to the right where `way` is 1, to the left where it is -1."""
+    """Add an arrow of round lamps to a panel; it points right if `way` is 1, left if it is -1."""
     along = np.linspace(-0.5, 0.5, 6)
     places = [(a, 0.0) for a in along] + [(0.5 - b, sign * b) for b in (0.17, 0.34) for sign in (-1, 1)]
     for u, v in places:
@@ -90,21 +93,21 @@ def _lamp_arrow(out: Solid, lamp: str, middle: tuple[float, float], side: float,
 
 
 def _blue_arrow(out: Solid, middle: tuple[float, float], radius: float, way: int) -> None:
-    """A blue disc with a white rim and a white arrow that points down to one side."""
+    """Add a blue disc with a white rim and a white arrow that points down to one side."""
     filled(out, "sign_white", filled_disc(*middle, radius), 2 * LAYER_GAP_M)
     filled(out, "sign_blue", filled_disc(*middle, 0.93 * radius), 3 * LAYER_GAP_M)
     _arrow(out, "sign_white", middle, 1.5 * radius, -np.pi / 4 if way > 0 else -3 * np.pi / 4, 4 * LAYER_GAP_M)
 
 
 def _arrow(out: Solid, color: str, middle: tuple[float, float], length: float, angle: float, z: float) -> None:
-    """An arrow on a panel that points in a direction, counter-clockwise from the right."""
+    """Add an arrow to a panel; `angle` is its direction, counter-clockwise from the right."""
     c, s = np.cos(angle), np.sin(angle)
     for part in ARROW_PARTS:
         filled(out, color, middle + length * np.array(part) @ np.array([[c, s], [-s, c]]), z)
 
 
 def chevron_boards(rng: np.random.Generator) -> Mesh:
-    """Boards at the outside of a curve: arrowheads side by side on one long board or on several square ones."""
+    """Return boards at the outside of a curve: arrowheads on one long board or on several square boards."""
     side, count, low = rng.uniform(0.5, 0.95), int(rng.integers(1, 6)), rng.uniform(0.5, 1.1)
     ground, mark = _CHEVRON_COLORS[int(rng.integers(len(_CHEVRON_COLORS)))]
     way, gap = int(rng.choice([-1, 1])), 0.0 if rng.random() < 0.4 else rng.uniform(0.3, 0.8)
@@ -123,7 +126,7 @@ def chevron_boards(rng: np.random.Generator) -> Mesh:
 
 
 def direction_sign(rng: np.random.Generator) -> Mesh:
-    """A large direction sign on two posts: places' names and arrows on blue, green, white or yellow."""
+    """Return a large direction sign on two posts: place names and arrows on blue, green, white or yellow."""
     x, low = rng.uniform(0.9, 2.2), rng.uniform(0.9, 2.4)
     rows = int(rng.integers(2, 5))
     high = rows * rng.uniform(0.4, 0.65)
@@ -148,7 +151,7 @@ def direction_sign(rng: np.random.Generator) -> Mesh:
 
 
 def site_fence(rng: np.random.Generator) -> Mesh:
-    """One or two panels of a site's fence on concrete feet, of bars or of lettered boards, with lamps on top."""
+    """Return one or two panels of a site's fence on concrete feet, of bars or lettered boards, with lamps on top."""
     count, long, top = int(rng.integers(1, 3)), 3.4, rng.uniform(1.9, 2.2)
     boarded, lamp = rng.random() < 0.5, str(rng.choice(["luminaire", "#ff8800", "sign_red"]))
     board = drawn_color(rng)
@@ -174,14 +177,14 @@ def site_fence(rng: np.random.Generator) -> Mesh:
 
 
 def _tape(out: Solid, x: tuple[float, float], z: float) -> None:
-    """Red and white tape along a fence."""
+    """Add red and white tape along a fence."""
     edges = np.linspace(*x, 13)
     for k, (left, right) in enumerate(itertools.pairwise(edges)):
         out.box("sign_white" if k % 2 else "sign_red", (left, -0.035, z), (right, 0.035, z + 0.15), without="-x +x")
 
 
 def posts(rng: np.random.Generator) -> Mesh:
-    """A row of posts with bands that shine: marker posts of road works, bollards of stone or of steel."""
+    """Return a row of posts with reflective bands: marker posts of road works, bollards of stone or of steel."""
     count, gap, high = int(rng.integers(3, 9)), rng.uniform(0.8, 1.2), rng.uniform(0.7, 1.15)
     radius = rng.uniform(0.05, 0.14)
     body = str(rng.choice(["#ff6611", "iron", "concrete", "sign_red", drawn_color(rng)]))
@@ -190,14 +193,14 @@ def posts(rng: np.random.Generator) -> Mesh:
     profile = [(z, radius) for z in steps[:-1]] + [(steps[-1], 0.0)]
     one = lathe(profile, [body, band, body, band, body, body], 9, "z")
     parts = [one.moved((gap * (k - (count - 1) / 2), 0.0, 0.0)) for k in range(count)]
-    if radius < 0.09 and rng.random() < 0.5:  # on feet of rubber
+    if radius < 0.09 and rng.random() < 0.5:  # on rubber feet
         foot = lathe([(BELOW_GROUND_M, 0.2), (0.05, 0.2), (0.1, radius)], ["tyre"] * 2, 9, "z")
         parts += [foot.moved((gap * (k - (count - 1) / 2), 0.0, 0.0)) for k in range(count)]
     return merged(parts)
 
 
 def ticket_machines(rng: np.random.Generator) -> Mesh:
-    """A ticket machine with a screen, a slot and a sign over it, or a row of parking meters on poles."""
+    """Return a ticket machine with a screen, a slot and a sign above it, or a row of parking meters on poles."""
     color = str(rng.choice(["sign_blue", "frame_dark", "cabinet", drawn_color(rng)]))
     return _parking_meters(color, rng) if rng.random() < 0.4 else _ticket_machine(color, rng)
 
@@ -237,7 +240,7 @@ def _ticket_machine(color: str, rng: np.random.Generator) -> Mesh:
 
 
 def phone_boxes(rng: np.random.Generator) -> Mesh:
-    """One to three phone boxes beside each other: panes on all sides between bars, a lit sign under the roof."""
+    """Return one to three phone boxes beside each other: panes between bars on all sides, a lit sign under the roof."""
     color = str(rng.choice(["sign_red", "frame_dark", "zinc", "#dd1188", drawn_color(rng)]))
     half, top = 0.45, rng.uniform(2.2, 2.45)
     rows = int(rng.integers(2, 7))
@@ -258,7 +261,7 @@ def phone_boxes(rng: np.random.Generator) -> Mesh:
 
 
 def message_board(rng: np.random.Generator) -> Mesh:
-    """A black board on one post or two: lines of dots that burn amber or white, beside them a red ring or an arrow."""
+    """Return a black board on one or two posts: lines of amber or white dots, and a red ring or an arrow."""
     x, rows, line = rng.uniform(1.0, 2.0), int(rng.integers(1, 4)), rng.uniform(0.3, 0.42)
     low, dots = rng.uniform(1.6, 3.4), str(rng.choice(["lit_amber", "lit_amber", "lit_white"]))
     side, ringed = rows * (line + 0.14) + 0.14, rng.random() < 0.4
@@ -284,13 +287,13 @@ def message_board(rng: np.random.Generator) -> Mesh:
 
 
 def sign_gantry(rng: np.random.Generator) -> Mesh:
-    """A post with an arm over the road, above what drives there, that carries one or two signs with lamps under them.
+    """Return a post with an arm high over the road that carries one or two signs with lamps under them.
 
-    The signs look along the road, one way or the other; one of them may be a board of dots.
+    The signs face along the road, in either direction; one of them may be a board of dots.
     """
     reach, low, count = rng.uniform(3.8, 6.5), rng.uniform(5.5, 5.9), int(rng.integers(1, 3))
     way, high = int(rng.choice([-1, 1])), rng.uniform(1.0, 1.6)
-    # From the panel's frame: across the road, up, and along the road to where it looks.
+    # Axes of the panel: across the road, up, and along the road in the direction that it faces.
     axes = ((0.0, float(way), 0.0), (0.0, 0.0, 1.0), (float(way), 0.0, 0.0))
     out = Solid()
     out.box("zinc", (-0.2, -0.2, BELOW_GROUND_M), (0.2, 0.2, low + high), without="-z")
@@ -330,7 +333,7 @@ def sign_gantry(rng: np.random.Generator) -> Mesh:
 
 
 def gore_boards(rng: np.random.Generator) -> Mesh:
-    """Boards where roads part: chevrons under a blue disc, or a low wall with a long band of them."""
+    """Return boards where roads split: chevrons under a blue disc, or a low wall with a long band of them."""
     ground, mark = ("lit_yellow", "fascia_black") if rng.random() < 0.7 else ("lit_red", "lit_white")
     out, front = Solid(), Solid()
     if rng.random() < 0.5:

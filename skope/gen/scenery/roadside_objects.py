@@ -1,6 +1,6 @@
-"""Things of a vehicle's size beside roads that are none: under covers, behind shutters, stacked or set up for a day.
+"""Objects of a vehicle's size beside roads: covered, behind shutters, stacked, or set up for a day.
 
-x along the road, y towards it, z up, metres; they reach below the ground, which may fall under them.
+x along the road, y towards it, z up, metres. They extend below the ground, which may slope down under them.
 """
 
 import itertools
@@ -20,7 +20,7 @@ _DARK_COLOR: Final = "#222222"
 
 
 def garages(rng: np.random.Generator) -> Mesh:
-    """One or two garages or lock-up shops in a row: ribbed shutters, some with big lettering, under a flat roof."""
+    """Return one or two garages or lock-up shops with ribbed shutters, some with large letters, and a flat roof."""
     count, half, depth, top = int(rng.integers(1, 3)), rng.uniform(1.3, 1.6), 2.4, rng.uniform(2.4, 2.9)
     wall, door = str(rng.choice(WALL_MATERIALS)), drawn_color(rng)
     high, rib = top - rng.uniform(0.25, 0.5), float(rng.choice([0.12, 0.25, 0.5]))
@@ -53,7 +53,7 @@ def garages(rng: np.random.Generator) -> Mesh:
 
 
 def concrete_barriers(rng: np.random.Generator) -> Mesh:
-    """Concrete barriers end to end with reflectors or lamps on them, or stored in a stack."""
+    """Return concrete barriers end to end with reflectors or lamps on them, or stored in a stack."""
     length, color = rng.uniform(1.9, 2.8), str(rng.choice(["concrete", "concrete", "sign_white", "sign_red"]))
     out = Solid()
     if rng.random() < 0.65:
@@ -82,7 +82,7 @@ def concrete_barriers(rng: np.random.Generator) -> Mesh:
 
 
 def kerb_stones(rng: np.random.Generator) -> Mesh:
-    """One to three pallets of kerb stones or bricks bound by straps."""
+    """Return one to three pallets of kerb stones or bricks bound by straps."""
     out = Solid()
     for k in range(int(rng.integers(1, 4))):
         x, color = 1.35 * k - 1.35, str(rng.choice(["concrete", "kerb", "sandstone", "brick"]))
@@ -101,7 +101,7 @@ def kerb_stones(rng: np.random.Generator) -> Mesh:
 
 
 def portable_toilets(rng: np.random.Generator) -> Mesh:
-    """One to four portable toilets beside each other: ribbed plastic, a door with a white sign, a pale roof."""
+    """Return one to four portable toilets in a row: ribbed plastic, a door with a white sign, a pale roof."""
     color, roof = drawn_color(rng), str(rng.choice(["sign_white", "#cccccc", "#dddddd"]))
     half, top = 0.55, 2.1
     one = Solid()
@@ -126,7 +126,7 @@ def portable_toilets(rng: np.random.Generator) -> Mesh:
 
 
 def generator(rng: np.random.Generator) -> Mesh:
-    """A generator or compressor in a case on skids: sloping shoulders, louvres, a panel, an exhaust and a lamp."""
+    """Return a generator or compressor in a case on skids, with louvres, a panel, an exhaust and a lamp."""
     x, y, top = rng.uniform(0.9, 1.9), rng.uniform(0.45, 0.75), rng.uniform(1.1, 1.8)
     color = drawn_color(rng)
     out = Solid()
@@ -158,7 +158,7 @@ def generator(rng: np.random.Generator) -> Mesh:
 
 
 def covered_boat(rng: np.random.Generator) -> Mesh:
-    """A boat on blocks and props under a cover with a ridge, its hull showing below."""
+    """Return a boat on blocks and props under a cover with a ridge; its hull is visible below."""
     x, y, top = rng.uniform(1.8, 3.0), rng.uniform(0.75, 1.1), rng.uniform(1.5, 2.1)
     keel, gunwale = 0.45, 0.55 * top
     along = np.concatenate([np.linspace(-1, 0.4, 10), [0.55, 0.68, 0.79, 0.88, 0.95, 1.0]])
@@ -183,7 +183,7 @@ def covered_boat(rng: np.random.Generator) -> Mesh:
 
 
 def _tube(out: Solid, color: str, points: Array) -> None:
-    """A closed tube of facets around rings, the columns of a grid of points (R, C, 3)."""
+    """Add a closed faceted tube around rings, which are the columns of a grid of points (R, C, 3)."""
     around = np.concatenate([points, points[:1]])
     a, b, c, d = around[:-1, :-1], around[:-1, 1:], around[1:, 1:], around[1:, :-1]
     out.faces(color, np.stack([a, b, c, d], axis=2).reshape(-1, 4, 3))
@@ -193,7 +193,7 @@ def _tube(out: Solid, color: str, points: Array) -> None:
 
 
 def covered_caravan(rng: np.random.Generator) -> Mesh:
-    """A caravan under a cover held by straps: a rounded box of cloth, wheels and a drawbar showing below."""
+    """Return a caravan under a strapped cover: a rounded box of cloth with visible wheels and drawbar."""
     x, y, top = rng.uniform(1.9, 2.9), rng.uniform(1.0, 1.12), rng.uniform(2.3, 2.6)
     low, color = (
         rng.uniform(0.3, 0.6),
@@ -230,7 +230,7 @@ def covered_caravan(rng: np.random.Generator) -> Mesh:
 
 
 def market_stall(rng: np.random.Generator) -> Mesh:
-    """A stall of a market: a striped roof on poles, a valance, a counter with cloth, boxes and goods on it."""
+    """Return a market stall: a striped roof on poles, a valance, a counter with cloth, boxes and goods."""
     x, y, eaves = rng.uniform(1.2, 2.2), rng.uniform(0.9, 1.2), rng.uniform(2.0, 2.3)
     ridge = eaves + rng.uniform(0.35, 0.7)
     colors = (drawn_color(rng), "sign_white" if rng.random() < 0.6 else drawn_color(rng))
@@ -248,7 +248,7 @@ def market_stall(rng: np.random.Generator) -> Mesh:
         if rng.random() < 0.8:
             goods = drawn_color(rng)
             out.box(goods, (left, 0.2, 0.85), (left + 0.38, y - 0.25, 0.85 + rng.uniform(0.08, 0.3)), without="-z")
-    if rng.random() < 0.5:  # a wall of cloth behind, with a name
+    if rng.random() < 0.5:  # a cloth wall at the rear, with a name
         out.box(cloth, (-x + 0.05, -y + 0.06, 0.1), (x - 0.05, -y + 0.09, eaves - 0.2))
         word = letters(1.4 * x, 0.3, rng)
         out.add(word.placed((0.7 * x, -y + 0.09 + LAYER_GAP_M, 1.4), TOWARDS_ROAD))
@@ -256,7 +256,7 @@ def market_stall(rng: np.random.Generator) -> Mesh:
 
 
 def bales(rng: np.random.Generator) -> Mesh:
-    """Round bales of hay, or of silage wrapped in film, lying in a row or in two, or square ones stacked."""
+    """Return round bales of hay, or of silage in film, in one or two rows, or stacked square bales."""
     color = str(rng.choice(["#ccaa66", "#bb9955", "sign_white", "#222222", "#88aa88", "#ddaacc"]))
     if rng.random() < 0.3:
         out, color = Solid(), str(rng.choice(["#ccaa66", "#bb9955", "sign_white", "#222222"]))
@@ -286,7 +286,7 @@ def bales(rng: np.random.Generator) -> Mesh:
 
 
 def recessed_wall(rng: np.random.Generator) -> Mesh:
-    """A wall with niches as deep as windows' or with iron doors, under a coping: of a yard, a vault or a graveyard."""
+    """Return a wall of a yard, vault or graveyard, with niches as deep as windows or iron doors, under a coping."""
     count, pitch, top = int(rng.integers(2, 5)), rng.uniform(1.0, 1.7), rng.uniform(1.3, 2.4)
     wall = str(rng.choice(WALL_MATERIALS))
     inside = str(rng.choice([wall, "frame_dark", "door_green", "iron", "window"]))
@@ -309,7 +309,7 @@ def recessed_wall(rng: np.random.Generator) -> Mesh:
 
 
 def gravestones(rng: np.random.Generator) -> Mesh:
-    """A row of gravestones: slabs of polished or rough stone with round or straight tops, lettering and plinths."""
+    """Return a row of gravestones: polished or rough slabs with round or straight tops, lettering and plinths."""
     out = Solid()
     count = int(rng.integers(2, 6))
     for k in range(count):

@@ -1,4 +1,4 @@
-"""Roofs of houses: x along the ridge, z up, the eaves' height given; chimneys, dormers, gutters."""
+"""Roofs of houses: x along the ridge, z up, at a given height of the eaves; chimneys, dormers, gutters."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -13,7 +13,7 @@ class RoofSizes:
     """Sizes of roofs."""
 
     overhang_m: float = 0.35
-    """Distance by which eaves stand out over the walls, metres."""
+    """Overhang of the eaves beyond the walls, metres."""
     thickness_m: float = 0.14
     """Thickness of a roof, metres."""
 
@@ -22,7 +22,10 @@ ROOF_SIZES: Final = RoofSizes()
 
 
 def gabled(half: tuple[float, float], eaves: float, rise: float, verge: float, material: str, walls: str) -> Solid:
-    """A roof of two slopes over a house of `half` its length and depth; `rise` is the ridge's height over the eaves."""
+    """Return a roof of two slopes over a house of `half` its length and depth.
+
+    `rise` is the ridge's height above the eaves.
+    """
     x, y = half
     pitch = rise / y
     out = Solid()
@@ -47,7 +50,7 @@ def gabled(half: tuple[float, float], eaves: float, rise: float, verge: float, m
 
 
 def hipped(half: tuple[float, float], eaves: float, rise: float, material: str) -> Solid:
-    """A roof that slopes to all four sides."""
+    """Return a roof that slopes to all four sides."""
     x, y = half[0] + ROOF_SIZES.overhang_m, half[1] + ROOF_SIZES.overhang_m
     low, top = eaves - 0.05, eaves + rise
     ridge = max(x - y, 0.3)
@@ -63,7 +66,7 @@ def hipped(half: tuple[float, float], eaves: float, rise: float, material: str) 
 
 
 def flat_roof(half: tuple[float, float], eaves: float, parapet: float, walls: str, dressing: str) -> Solid:
-    """A flat roof behind a parapet, with a plant room."""
+    """Return a flat roof behind a parapet, with a plant room."""
     x, y = half
     t = 0.25
     out = Solid()
@@ -96,7 +99,10 @@ def chimney(x: float, y: float, low: float, high: float, walls: str) -> Solid:
 
 
 def dormer(x: float, front: float, low: float, pitch: float, roof: str, frame: str) -> Solid:
-    """A window under a small gable on the slope towards +y; `front` is its face's y, where the slope is at `low`."""
+    """Return a window under a small gable on the slope towards +y.
+
+    Its face is at y = `front`, where the slope is at `low`.
+    """
     w, h, rise = 0.75, 1.25, 0.5
     back = front - (h + rise) / pitch
     out = Solid()
@@ -127,7 +133,7 @@ def dormer(x: float, front: float, low: float, pitch: float, roof: str, frame: s
 
 
 def roof_window(x: float, y: float, height: float, pitch: float) -> Solid:
-    """A window that lies in the slope towards +y, at `height` in its middle."""
+    """Return a window in the slope towards +y, with its middle at `height`."""
     tilt = np.arctan(pitch)
     c, s = np.cos(tilt), np.sin(tilt)
     part = Solid()
@@ -137,7 +143,7 @@ def roof_window(x: float, y: float, height: float, pitch: float) -> Solid:
 
 
 def gutters(half: tuple[float, float], eaves: float) -> Solid:
-    """A gutter along each eave and a downpipe at its end."""
+    """Return a gutter along each eave and a downpipe at its end."""
     x, y = half
     out = Solid()
     for side in (1.0, -1.0):

@@ -23,22 +23,22 @@ class FurnitureLimits:
     """Clearances of street furniture."""
 
     clearance_m: float = 0.4
-    """Least distance of street furniture from the carriageway, metres."""
+    """Minimum distance of street furniture from the carriageway, metres."""
     overhead_m: float = 6.0
-    """Height from which parts may hang over the road, metres."""
+    """Minimum height of parts over the road, metres."""
     light_spacing_m: float = 32.0
-    """Distance between street lights on each side of roads that are lit throughout."""
+    """Distance between street lights on each side of continuously lit roads, metres."""
     open_view_m: float = 26.0
-    """Furniture does not stand in a camera's view of road that is nearer to it than this, metres."""
+    """Radius around a camera in which its view of the road is free of furniture, metres."""
 
 
 FURNITURE_LIMITS: Final = FurnitureLimits()
 
 
 def furniture(layout: Layout, keep_clear: Any, rng: np.random.Generator, *, lit_roads: bool = False) -> Iterator[Mesh]:
-    """Everything that stands beside the roads of a town but trees and signals.
+    """Yield all objects beside the roads of a town except trees and signals.
 
-    With `lit_roads`, all roads have street lights, and no wider apart than `FURNITURE_LIMITS.light_spacing_m`.
+    With `lit_roads`, all roads have street lights, at most `FURNITURE_LIMITS.light_spacing_m` apart.
     """
     blocked = unary_union([keep_clear, layout.sightlines(FURNITURE_LIMITS.open_view_m)])
     spots = _Spots(layout, blocked)
@@ -53,7 +53,7 @@ def furniture(layout: Layout, keep_clear: Any, rng: np.random.Generator, *, lit_
 
 
 class _Spots:
-    """Places beside the road where street furniture may still stand."""
+    """Free positions for street furniture beside the road."""
 
     def __init__(self, layout: Layout, blocked: Any) -> None:
         self._blocked, self._road = blocked, layout.graph.road
@@ -62,7 +62,7 @@ class _Spots:
         self._taken: list[tuple[Array, Any]] = []
 
     def take(self, place: Array, heading: float, made: Mesh) -> bool:
-        """Whether a thing fits there; if so its place is taken."""
+        """Return whether an object fits there; if it does, reserve the position."""
         c, s = np.cos(heading), np.sin(heading)
         low = made.vertices[made.vertices[:, 2] < FURNITURE_LIMITS.overhead_m, :2]
         plan = low @ np.array([[c, s], [-s, c]]) + place
@@ -78,7 +78,7 @@ class _Spots:
 def _furniture_along(
     layout: Layout, edge: Any, rng: np.random.Generator, lit_road: bool
 ) -> Iterator[tuple[float, float, Callable[[], Mesh]]]:
-    """Furniture to place along an edge: distance from the kerb and along the edge, metres, and how to make it."""
+    """Yield furniture along an edge: distance from the kerb and along the edge, metres, and its builder."""
     length, kind, style = driven(edge)[0].getLength(), layout.graph.kind(edge), layout.style
     first, back = (kind.shoulder + 1.1, kind.shoulder + 2.6) if not kind.sidewalk else (0.75, 0.92 * kind.sidewalk)
     spacing = (
@@ -120,21 +120,21 @@ def _furniture_along(
 
 
 def _number_of(name: str) -> int:
-    """A number for a name, the same in every process."""
+    """Return a number for a name, the same in every process."""
     return sum(name.encode())
 
 
 def _draw_small_item(
     shares: Mapping[str, float], back: float, rng: np.random.Generator
 ) -> tuple[float, Callable[[], Mesh]]:
-    """Something of what stands on sidewalks: distance from the kerb, how to make it."""
+    """Return a random object for a sidewalk: its distance from the kerb, metres, and its builder."""
     name = drawn_name(shares, rng)
     make, at_kerb = _SIDEWALK_OBJECTS[name]
     return 0.8 if at_kerb else back, make
 
 
 def street_light(form: str, reach: float) -> Mesh:
-    """A pole with a lamp at the end of a curved arm, of a straight one, of two, or on a timber pole."""
+    """Return a pole with a lamp at the end of a curved arm, a straight arm or two arms, or on a timber pole."""
     if form == "curved":
         bend = np.linspace(0, np.pi / 2, 5)
         arm = [(0.0, 0.9 * (1 - np.cos(a)), 7.1 + 0.9 * np.sin(a)) for a in bend]
@@ -157,14 +157,14 @@ def _luminaire(y: float, z: float) -> Mesh:
 
 
 def lamp_positions(meshes: Iterable[Mesh]) -> Array:
-    """(N, 3) middles of the luminaires' panes, each of which is a box of 24 vertices."""
+    """Return the middles (N, 3) of the luminaires' panes; each pane is a box of 24 vertices."""
     panes = [mesh.by_material()["luminaire"].vertices for mesh in meshes if "luminaire" in mesh.materials]
     boxes = np.concatenate([np.zeros((0, 24, 3)), *(pane.reshape(-1, 24, 3) for pane in panes)])
     return np.asarray(boxes.mean(axis=1))
 
 
 def delineator() -> Mesh:
-    """A marker post at the edge of the road."""
+    """Return a marker post at the edge of the road."""
     out = Solid()
     out.box("frame", (-0.06, -0.05, -0.1), (0.06, 0.05, 0.95), without="-z")
     out.box("iron", (-0.065, -0.055, 0.68), (0.065, 0.055, 0.86), without="-z +z")
@@ -203,7 +203,7 @@ def news_rack() -> Mesh:
 
 
 def sign(kind: str) -> Mesh:
-    """A post with a plate that faces the traffic, which comes from -x."""
+    """Return a post with a plate that faces the traffic, which comes from -x."""
     top = 2.35 if kind != "street" else 2.5
     post = lathe([(0.0, 0.032), (top + 0.3, 0.032), (top + 0.31, 0.0)], ["zinc", "zinc"], 7, "z")
     parts = {
@@ -249,7 +249,7 @@ def _rectangle(half: float, height: float) -> Array:
 
 
 def _digits() -> Array:
-    """Bars that look like two digits from afar."""
+    """Return bars that look like two digits in a distant view."""
     bars = [(-0.11, 0.03, 0.11), (0.11, 0.03, 0.11), (0.03, 0.03, 0.11)]
     return np.stack([_rectangle(w, h) + np.array([x, 0.0]) for x, w, h in bars])
 
@@ -302,7 +302,7 @@ def cabinet_small() -> Mesh:
 
 
 def bus_shelter() -> Mesh:
-    """Posts, a roof, a bench, a back wall of frosted panes and a poster."""
+    """Return posts, a roof, a bench, a back wall of frosted panes and a poster."""
     out = Solid()
     for x in (-1.9, 0.0, 1.9):
         for y in (-0.62, 0.42):
@@ -329,4 +329,4 @@ _SIDEWALK_OBJECTS: Final[Mapping[str, tuple[Callable[[], Mesh], bool]]] = {
     "planter": (planter, True),
     "news_rack": (news_rack, False),
 }
-"""Things that a town's style may put on its sidewalks, and whether they stand at the kerb."""
+"""Builders of the objects for sidewalks in a town's style, and whether the objects are at the kerb."""

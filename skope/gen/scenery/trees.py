@@ -1,4 +1,4 @@
-"""Trees of several species with leaves or without them, bushes and hedges."""
+"""Trees of several species with or without leaves, bushes and hedges."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -29,17 +29,17 @@ class TreeLimits:
         (6, 4, 2),
         (7, 4, 3),
     )
-    """Number of branches that each branch forks into, at each level, by a tree's detail."""
+    """Number of branches that each branch forks into, per level, by a tree's detail."""
     branch_sides: int = 3
-    """Sides of a branch."""
+    """Number of sides of a branch."""
     clearance_m: float = 0.4
-    """Least distance between crowns and the carriageway, metres."""
+    """Minimum distance between crowns and the carriageway, metres."""
     open_view_m: float = 32.0
-    """Trees do not stand in a camera's view of road that is nearer to it than this, metres."""
+    """Radius around a camera in which its view of the road is free of trees, metres."""
     wide_m: float = 2.6
-    """Radius from which a crown is made of more clumps, metres."""
+    """Radius above which a crown has more clumps, metres."""
     crown_m: float = 4.0
-    """Largest reach of crowns, metres."""
+    """Maximum radius of crowns, metres."""
 
 
 TREE_LIMITS: Final = TreeLimits()
@@ -48,7 +48,7 @@ TREE_LIMITS: Final = TreeLimits()
 def branches(
     height: float, bare: float, reach: float, stem: float, bark: str, detail: int, rng: np.random.Generator
 ) -> Mesh:
-    """The branches of a tree without leaves, which fork upwards and outwards from its stem.
+    """Return the branches of a tree without leaves, which fork upwards and outwards from its stem.
 
     Args:
         height: Height of the tree, metres.
@@ -57,7 +57,7 @@ def branches(
         stem: Radius of the stem near the ground, metres.
         bark: Material.
         detail: Detail of the crown, from 0 to 3.
-        rng: Draws.
+        rng: Random generator.
     """
     crown = height - bare
     count = TREE_LIMITS.forks[detail][0]
@@ -85,7 +85,7 @@ def branches(
 
 
 def _straight_tubes(starts: Array, ends: Array, radii: Array, material: str) -> Mesh:
-    """Tapered tubes from points (N, 3) to others, with radii (N, 2) at both ends."""
+    """Return tapered tubes between two sets of points (N, 3), with radii (N, 2) at both ends."""
     along = ends - starts
     side = np.cross(along, np.eye(3)[np.abs(along).argmin(axis=1)])
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
@@ -106,7 +106,7 @@ def _straight_tubes(starts: Array, ends: Array, radii: Array, material: str) -> 
 def drooping_branches(
     height: float, bare: float, reach: float, leaves: str, detail: int, rng: np.random.Generator
 ) -> list[Mesh]:
-    """The crown of a conifer: whorls of single branches of uneven length that droop, around a core of leaves."""
+    """Return the crown of a conifer: whorls of drooping single branches of uneven length around a core of leaves."""
     whorls, count = ((4, 5), (6, 6), (9, 8), (12, 9))[detail]
     fullness, levels = rng.uniform(0.75, 1.25), np.linspace(bare, 0.93 * height, whorls)
     step = levels[1] - levels[0]
@@ -121,7 +121,7 @@ def drooping_branches(
     root = np.column_stack([np.zeros((len(level), 2)), level + 0.25 * step])
     droop = np.array([0.0, 0.0, 1.0]) * (0.35 * length)[:, None]
     middle, tip = root + 0.6 * length[:, None] * out, root + length[:, None] * out - droop
-    # A branch is a roof of two leaning halves: seen from any side it has an area.
+    # A branch consists of two leaning halves, so that it has an area from any direction.
     hang = np.array([0.0, 0.0, 0.45]) * (step + half)
     left, right = middle - half * side - hang, middle + half * side - hang
     points = np.stack([root, left, right, tip, middle], axis=1)
@@ -133,10 +133,10 @@ def drooping_branches(
 
 @dataclass(frozen=True, kw_only=True)
 class Species:
-    """Shape of a kind of tree; lengths are shares of its height."""
+    """Shape of a species of tree; lengths are shares of its height."""
 
     height: tuple[float, float]
-    """Metres."""
+    """Minimum and maximum height, metres."""
     bare: float
     """Height of the stem below the crown."""
     reach: float
@@ -145,7 +145,7 @@ class Species:
     leaves: str = "leaves"
     bark: str = "bark"
     stem: float = 0.14
-    """Radius near the ground, metres."""
+    """Radius of the stem near the ground, metres."""
 
 
 TREE_SPECIES: Final = {
@@ -165,14 +165,14 @@ TREE_SPECIES: Final = {
 class Tree:
     species: Species
     place: Array
-    """(2,) place of the foot, metres."""
+    """(2,) position of the foot, metres."""
     height: float
     room: float
-    """Largest radius that the crown may have, metres."""
+    """Maximum radius of the crown, metres."""
     detail: int
     """Detail of the crown, from 0 to 3."""
     street: bool
-    """Whether it stands in the sidewalk."""
+    """Whether the tree is in the sidewalk."""
 
     @property
     def reach(self) -> float:
@@ -185,7 +185,7 @@ class Tree:
 
 
 def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
-    """The town's lines of trees, and trees in its medians."""
+    """Return the town's lines of trees, and trees in its medians."""
     graph = layout.graph
     seen = [layout.sightlines(TREE_LIMITS.open_view_m), layout.around_cameras.buffer(TREE_LIMITS.crown_m)]
     walls = graph.walled_road.buffer(2.0)
@@ -209,7 +209,7 @@ def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
             at, species, likely = place + wander, drawn_name(style.species, rng), rng.random()
             if likely < line.chance and is_free(keep_clear, at, 0.4):
                 grow(at, street, TREE_SPECIES[species])
-    # Nothing is high enough in a median to hide what a camera looks at, but its crowns' stems stand there.
+    # Crowns in medians are too high to hide anything in a camera's view, except near a camera.
     near_cameras = layout.around_cameras.buffer(TREE_LIMITS.crown_m)
     for island in polygons(layout.islands.buffer(-1.4)):
         for at in _places_along(island, 11.0):
@@ -219,7 +219,7 @@ def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
 
 
 def _places_along(region: Polygon, spacing: float) -> Iterator[Array]:
-    """Places along a region's long axis, and across it where it is wide."""
+    """Yield positions along a region's long axis, and across it where it is wide."""
     ring = np.array(region.minimum_rotated_rectangle.exterior.coords)
     sides = np.diff(ring, axis=0)[:2]
     lengths = np.hypot(*sides.T)
@@ -239,7 +239,7 @@ def tree_meshes(layout: Layout, trees: list[Tree], rng: np.random.Generator) -> 
 
 
 def _tree_in_season(tree: Tree, season: Season, rng: np.random.Generator) -> Mesh:
-    """A tree as a season has it: some without leaves, conifers with branches that can be told apart."""
+    """Return a tree in a season: some trees without leaves, conifers with separate branches."""
     species, height, reach = tree.species, tree.height, tree.reach * rng.uniform(0.88, 1.12)
     bare = height * species.bare * rng.uniform(0.88, 1.12)
     if species.form == "cone":
@@ -252,17 +252,17 @@ def _tree_in_season(tree: Tree, season: Season, rng: np.random.Generator) -> Mes
 
 
 def _stem(species: Species, top: float) -> Mesh:
-    """A trunk up to a height, metres."""
+    """Return a trunk up to a height, metres."""
     profile = [(-0.4, 1.4 * species.stem), (0.3, species.stem), (0.9 * top, 0.5 * species.stem)]
     return lathe(profile, [species.bark] * 2, 6, "z")
 
 
 def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
-    """A trunk with branches that carry a crown of many overlapping clumps of leaves."""
+    """Return a trunk with branches that carry a crown of many overlapping clumps of leaves."""
     species, height = tree.species, tree.height
     bare = height * species.bare * rng.uniform(0.88, 1.12)
     clumps, share = ((4, 0.85), (6, 0.72), (17, 0.52), (22, 0.45))[tree.detail]
-    # How much farther than their centres' distance the crown's rims reach.
+    # Radius of the crown relative to the distance of the clumps' centres.
     rims = {"cone": 1.12, "column": 1.5}.get(species.form, 0.8 + 1.5 * share)
     reach = min(height * species.reach * rng.uniform(0.88, 1.12), tree.room / rims)
     top = 0.42 * height if species.form == "shrub" else height - 0.6 * reach
@@ -285,7 +285,7 @@ def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
     up = (height - bare) / 2
     spread = np.array([reach, reach, up]) * 0.8
     middle = np.array([0.0, 0.0, bare + up])
-    if tree.detail > 1 and reach > TREE_LIMITS.wide_m:  # more of them in wide crowns, or they would be lumps
+    if tree.detail > 1 and reach > TREE_LIMITS.wide_m:  # more clumps in wide crowns, which would otherwise be lumps
         more = reach / TREE_LIMITS.wide_m
         clumps, share = round(clumps * more), share / more**0.5
     centers = middle + spread * _points_in_ball(clumps, rng)
@@ -302,7 +302,7 @@ def _with_material(mesh: Mesh, material: str) -> Mesh:
 
 
 def _conifer_tiers(tree: Tree, bare: float, reach: float, rng: np.random.Generator) -> Iterator[Mesh]:
-    """A conifer's whorls of hanging branches: ragged cones, one above the other."""
+    """Yield a conifer's whorls of drooping branches: ragged cones above each other."""
     count, sides = (4, 5, 8, 11)[tree.detail], (6, 8, 11, 16)[tree.detail]
     levels = np.linspace(bare, 0.9 * tree.height, count)
     step = levels[1] - levels[0]
@@ -322,7 +322,7 @@ def _conifer_tiers(tree: Tree, bare: float, reach: float, rng: np.random.Generat
 
 
 def _points_in_ball(count: int, rng: np.random.Generator) -> Array:
-    """(count, 3) points in the unit ball, more of them near its surface."""
+    """Return points (count, 3) in the unit ball, denser near its surface."""
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     return direction * rng.uniform(0.35, 1.0, (count, 1)) ** 0.5
@@ -336,7 +336,7 @@ def _clump(
     rng: np.random.Generator,
     stretch: ArrayLike = (1.0, 1.0, 0.8),
 ) -> Mesh:
-    """An uneven ball of leaves whose normals lean away from the crown's middle: the crown is lit as one."""
+    """Return an uneven ball of leaves; its normals lean away from the crown's middle for even lighting."""
     points, triangles = _icosphere(detail)
     uneven = 0.28 if detail else 0.16
     points = points * rng.uniform(1 - uneven, 1 + uneven, (len(points), 1)) * radius * np.asarray(stretch)
@@ -349,7 +349,7 @@ def _clump(
 
 @cache
 def _icosphere(detail: int) -> tuple[Array, NDArray[np.int64]]:
-    """An icosahedron with its triangles divided into four `detail` times; radius 1."""
+    """Return a unit icosahedron with its triangles divided into four `detail` times."""
     g = (1 + 5**0.5) / 2
     corners = [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0)]
     points = np.array([*corners, *[(z, x, y) for x, y, z in corners], *[(y, z, x) for x, y, z in corners]], float)
@@ -388,7 +388,7 @@ def bush(radius: float, rng: np.random.Generator) -> Mesh:
 
 
 def hedge(length: float, height: float, depth: float, rng: np.random.Generator) -> Mesh:
-    """A clipped hedge along x around the origin: a dark core within an uneven coat of leaves."""
+    """Return a clipped hedge along x around the origin: a dark core within an uneven coat of leaves."""
     half, inner = length / 2, 0.07
     core = box([-half + inner, -depth / 2 + inner, 0.0], [half - inner, depth / 2 - inner, height - inner], "hedge")
     columns = max(3, int(length / 0.7))

@@ -1,1 +1,1 @@
-"""Vehicle models: the fleet, how each is built, its keypoints, paints and shapes, and models that users add."""
+"""Vehicle models: the fleet, its builders, keypoints, paints and shapes, and models that users add."""

@@ -1,4 +1,7 @@
-"""City buses: an upright shell with large windows, doors on the right, a destination sign; or two, with bellows."""
+"""City buses: an upright shell with large windows, doors on the right and a destination sign.
+
+Articulated buses have two.
+"""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,7 +27,7 @@ class BusSizes:
     bellows_corner_m: float = 0.03
     """Radius of the corners of an end at the bellows, metres."""
     bellows_overlap_m: float = 0.5
-    """Reach of each half of the bellows beyond the hinge, into the other half: they close up to 45 degrees."""
+    """Overlap of each half of the bellows beyond the hinge, metres. The halves stay closed up to 45 degrees."""
     folds: int = 7
     """Number of folds of the bellows."""
     bumper_lip: float = 0.07
@@ -35,14 +38,14 @@ BUS_SIZES: Final = BusSizes()
 
 
 class BusBody:
-    """The surfaces of a bus. `mesh` is the body without wheels; `points` the left keypoints by stem.
+    """Surfaces of a bus. `mesh` is the body without wheels; `points` the left keypoints by stem.
 
-    Its roof points are the upper corners of the windscreen's frame and of the rear window. An articulated one is two:
-    the half in front of the hinge and, with `rear_half`, the one behind, whose shape has one axle.
+    Its roof points are the upper corners of the windscreen's frame and of the rear window. An articulated bus has two
+    bodies: the half in front of the hinge and, with `rear_half`, the half behind it, which has one axle in its shape.
     """
 
     ridge = 0.0
-    """Of its `Tower`."""
+    """The value for `Tower.ridge`."""
 
     def __init__(self, shape: Shape, style: VehicleStyle, *, rear_half: bool = False) -> None:
         self.shape, self.style = shape, style
@@ -53,16 +56,19 @@ class BusBody:
         self._left = self._build_half(doors=False)
 
     def _nose(self) -> float:
-        """x of the front of what passengers sit in."""
+        """x of the front of the passenger compartment."""
         return self.shape.length / 2
 
     @property
     def lit_inside(self) -> bool:
-        """Whether the light inside burns at night; the width draws it, which both halves of a bus have in common."""
+        """Whether the interior light burns at night.
+
+        The choice follows from the width, which both halves of a bus share.
+        """
         return int(self.shape.width * 1e4) % 4 != 1
 
     def _window(self, material: str) -> str:
-        """Material of side windows and doors that are of a material where no light burns behind them."""
+        """Return the material of side windows and doors: "glass_lit" if the interior light burns, else `material`."""
         return "glass_lit" if self.lit_inside else material
 
     @cached_property
@@ -80,7 +86,7 @@ class BusBody:
         return merged([replace(inside, materials=names), box(low, high, "cabin_light")])
 
     def _seats(self) -> Mesh:
-        """Seats, dashboard and driver."""
+        """Return seats, dashboard and driver."""
         s = self.shape
         rows = 5
         if not self.has_front:
@@ -135,15 +141,15 @@ class BusBody:
         return merged([shell.half, mirror, *out])
 
     def _carved_axles(self) -> tuple[float, ...]:
-        """x of the axles whose wheels stand in wells."""
+        """Return x of the axles with wheel wells."""
         return self.shape.front_axle_x, self.shape.rear_axle_x
 
     def _mirror(self) -> tuple[Mesh, Array]:
-        """A mirror, and its outer tip."""
+        """Return a mirror and its outer tip."""
         return parts.mirror((self.nose - 0.3, self.shape.width / 2 - 0.03, 2.0), True, "trim")
 
     def _draw_details(self, shell: Surface, w: Array, doors: bool) -> list[Mesh]:
-        """Livery, windows, doors, signs and lamps; returns what stands out."""
+        """Draw livery, windows, doors, signs and lamps; return the parts that project from the shell."""
         s, end = self.shape, float(w[-1])
         self._draw_livery(shell, end)
         shell.draw(rectangle_outline(-1, end + 1, 0, s.clearance + 0.14), WRAP_AXES, "trim")
@@ -173,7 +179,7 @@ class BusBody:
         return out
 
     def _door_places(self) -> list[float]:
-        """x of the doors' middles."""
+        """Return x of the middle of each door."""
         s = self.shape
         if not self.has_front:
             return [(self.nose + s.rear_axle_x + s.wheel_radius) / 2]
@@ -182,7 +188,7 @@ class BusBody:
         return [first, middle, *([s.rear_axle_x - 1.6] if s.length > 11 else [])]
 
     def _draw_livery(self, shell: Surface, end: float) -> None:
-        """Two tones: below the windows, or from the middle to the rear."""
+        """Draw two tones: below the windows, or from the middle to the rear."""
         s = self.shape
         if self.style.soft:
             shell.paint(rectangle_outline(-1, end + 1, 0, s.belt_height - 0.16), WRAP_AXES, "livery")
@@ -248,7 +254,7 @@ class BusBody:
         }
 
     def _draw_door(self, shell: Surface, x: float, width: float) -> None:
-        """A double-leaf glass door."""
+        """Draw a double-leaf glass door."""
         low, high = self.shape.clearance + 0.1, self.shape.height - 0.45
         half = width / 2
         whole = rectangle_outline(x - half, x + half, low, high)
@@ -263,9 +269,12 @@ class BusBody:
 
 
 def _bellows(s: Shape, end: float, sign: float) -> Mesh:
-    """The left half of the folds between an end of a half at x = `end` and beyond the hinge; ahead with `sign` 1."""
+    """Return the left half of the folds from an end of a bus half at x = `end` to beyond the hinge.
+
+    Ahead with `sign` 1.
+    """
     reach = s.hinge_gap + BUS_SIZES.bellows_overlap_m
-    # The rear half's folds lie inside of the front half's, so that the two never lie on each other.
+    # The rear half's folds are inside the front half's, so that the two never coincide.
     half, low, high = s.width / 2 - (0.1 if sign > 0 else 0.05), s.clearance + 0.1, s.height - 0.14
     outline = [(0.0, low), (half, low), (half, high - 0.3), (half - 0.07, high - 0.1), (half - 0.25, high), (0.0, high)]
     section = np.array(outline)
@@ -283,6 +292,6 @@ def _bellows(s: Shape, end: float, sign: float) -> Mesh:
 
 
 def _creased(mesh: Mesh) -> Mesh:
-    """The mesh with flat triangles."""
+    """Return the mesh with flat triangles."""
     corners = mesh.vertices[mesh.triangles].reshape(-1, 3)
     return from_triangles(corners, np.arange(len(corners)), mesh.materials[0])

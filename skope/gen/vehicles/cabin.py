@@ -1,5 +1,4 @@
-"""The greenhouse of a car: pillars, panes and roof above the lower body, one loft; loads on roofs, and hardtops over
-beds."""
+"""Greenhouse of a car: pillars, panes and roof above the lower body as one loft; roof loads and hardtops over beds."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -31,13 +30,13 @@ from skope.gen.vehicles.solids import ROOF_CORNER_ROW, Tower
 from skope.types import Array
 
 ROOF_LOAD_HEIGHTS_M: Final = {"box": 0.42, "bars": 0.05, "ladder": 0.12, "beacons": 0.13}
-"""Height of each kind of load over the roof's highest point, metres."""
+"""Height of each kind of load above the roof's highest point, metres."""
 _BAR_HEIGHT_M: Final = ROOF_LOAD_HEIGHTS_M["bars"]
 
 
 @dataclass(frozen=True)
 class CabinSizes:
-    """Sizes of a cabin, its roof and what is on it."""
+    """Sizes of a cabin, its roof and the parts on it."""
 
     box_ring: tuple[tuple[float, float], ...] = (
         (0.0, 0.0),
@@ -48,7 +47,7 @@ class CabinSizes:
         (0.7, 1.0),
         (0.0, 1.0),
     )
-    """Half of a luggage box's section, from the middle below to the middle above: shares of its width and height."""
+    """Half of a luggage box's section, from the bottom centre to the top centre: shares of its width and height."""
     box_sections: tuple[tuple[float, float], ...] = (
         (1.0, 0.05),
         (0.98, 0.6),
@@ -58,26 +57,27 @@ class CabinSizes:
         (-0.97, 0.9),
         (-1.0, 0.05),
     )
-    """Shares of half the length of a luggage box from front to rear, and of its greatest section there."""
+    """Sections of a luggage box: share of half its length, from front to rear, and share of its largest section
+    there."""
     bed_gap_m: float = 0.07
     """Gap between cabin and hardtop at the bed's edge, metres."""
     above_bed_m: float = 0.005
-    """Height of the hardtop's foot over the bed's edge, metres."""
+    """Height of the hardtop's foot above the bed's edge, metres."""
     surround_share: float = 0.03
     """Width of the dark surround of a pane, as a share of the pillars' height."""
     edge_rows: tuple[tuple[float, float, float], tuple[float, float, float]] = (
         (1.3, 0.015, 0.015),
         (1.65, 0.042, 0.027),
     )
-    """Rows of the edge between pillars and roof: how far in, and how far up, metres."""
+    """Rows of the edge between pillars and roof: row, distance inwards, distance upwards, metres."""
     crown_m: float = 0.052
-    """Height of the roof's spine over its edge, metres."""
+    """Height of the roof's centre line above its edge, metres."""
     screen_top: float = 0.985
     """Height of the upper edge of a screen, as a share of the pillars' height."""
     pillar_lamp_m: float = 0.17
     """Width of a lamp in the pillar, metres."""
     sunk_m: float = 0.012
-    """Depth of the pillars' foot in the lower body."""
+    """Depth of the pillars' foot in the lower body, metres."""
 
 
 CABIN_SIZES: Final = CabinSizes()
@@ -86,14 +86,14 @@ CABIN_SIZES: Final = CabinSizes()
 def roof_load(
     kind: str, front: float, rear: float, half_width: float, top: float, edge: Callable[[Array], Array]
 ) -> Mesh:
-    """The left half of a load on a roof, metres.
+    """Return the left half of a load on a roof, metres.
 
     Args:
         kind: One of `ROOF_LOAD_HEIGHTS_M`.
         front: x of the roof's front end.
         rear: x of its rear end.
-        half_width: From the middle to the roof's edge.
-        top: The roof's highest point above the road.
+        half_width: Distance from the middle to the roof's edge.
+        top: Height of the roof's highest point above the road.
         edge: Height of the roof's edge at x.
     """
     if kind == "beacons":
@@ -115,7 +115,7 @@ def roof_load(
 
 
 def _beacons(span: tuple[float, float], half_width: float, top: float, edge: Callable[[Array], Array]) -> Mesh:
-    """Bars of blue lamps across the roof, ahead and behind."""
+    """Return bars of blue lamps across the roof, at its front and rear."""
     out = []
     for x in (span[0] - 0.28, span[1] + 0.25):
         half, high = half_width - 0.12, top + ROOF_LOAD_HEIGHTS_M["beacons"]
@@ -134,7 +134,10 @@ def _ladder(span: tuple[float, float], low: float) -> list[Mesh]:
 
 
 def antenna(kind: str, x: float, top: float, fin: str) -> Mesh:
-    """The left half of an antenna on the middle of a roof, `top` high at `x`, metres; a fin is of material `fin`."""
+    """Return the left half of an antenna on the middle of a roof, `top` high at `x`, metres.
+
+    A fin is of material `fin`.
+    """
     if kind == "rod":
         return box((x - 0.006, 0.0, top - 0.02), (x + 0.006, 0.006, top + 0.28), "trim")
     sections = ((1.0, 0.05), (0.5, 0.4), (-0.6, 1.0), (-0.9, 0.95), (-1.0, 0.05))
@@ -144,7 +147,14 @@ def antenna(kind: str, x: float, top: float, fin: str) -> Mesh:
 def _box_shell(
     at: tuple[float, float, float], size: tuple[float, float, float], sections: ArrayLike, material: str
 ) -> Mesh:
-    """The left half of a closed shell whose middle below is at `at`: half its length and width, and its height."""
+    """Return the left half of a closed shell with its bottom centre at `at`.
+
+    Args:
+        at: Position of the bottom centre, metres.
+        size: Half its length, half its width, and its height, metres.
+        sections: Sections along the shell, as `CabinSizes.box_sections`.
+        material: Its material.
+    """
     along, share = np.asarray(sections, dtype=np.float64).T[:, :, None]
     across, up = np.array(CABIN_SIZES.box_ring).T[:, None]
     points = np.stack(np.broadcast_arrays(along, share * across, share * up), axis=-1) * size + at
@@ -152,7 +162,7 @@ def _box_shell(
 
 
 def canopy(s: Shape) -> tuple[Mesh, dict[str, Array]]:
-    """The left half of a hardtop, and the rear roof's and rear window's corners."""
+    """Return the left half of a hardtop, and the corners of its rear roof and rear window."""
     front, rear = s.backlight_x - CABIN_SIZES.bed_gap_m, -s.length / 2 + s.tail_lean + 0.14
     low, high = s.deck_height + CABIN_SIZES.above_bed_m, s.height - 0.012
     plan = Plan(s.width / 2 - 0.085, front, rear, 0.0, 0.03, 0.06, 0.1)
@@ -184,29 +194,35 @@ def canopy(s: Shape) -> tuple[Mesh, dict[str, Array]]:
 
 _GLASS_LOW, _GLASS_HIGH = 0.1, 0.93
 _GLASS_ROWS: Final = (0.0, _GLASS_LOW - CABIN_SIZES.surround_share, _GLASS_LOW, 0.38, 0.68, _GLASS_HIGH, 1.0)
-"""Panes end at rows, where they need not split any triangle."""
+"""Rows of the pillars. Panes end at rows, so that no triangle needs to be split there."""
 _ROOF_CORNER_ROW: Final = CABIN_SIZES.edge_rows[0][0]
-"""Row of the roof's rear corners: on the rounded edge, which is visible from the front as from the rear. The rear
+"""Row of the roof's rear corners: on the rounded edge, which is visible from the front and from the rear. The rear
 window's corners lie lower on the rear face, where the roof hides them from the front."""
 _ROOF_ROWS: Final = ((2.0, 0.84), (2.3, 0.55), (CENTER, 0.0))
-"""Rows of the roof: share of the way from its spine to its edge."""
+"""Rows of the roof: row, and share of the distance from its centre line to its edge."""
 _ROOF_SIGNS: Final = ("sign", "sign_taxi_red", "sign_taxi_green")
 """Materials of lit roof signs. The vehicle's length selects one."""
 
 
 class Greenhouse:
-    """The left half; `points` are its keypoints by stem, `parts` what stands out from it."""
+    """Left half of a greenhouse. `points` are its keypoints by stem, `parts` the parts that project from it."""
 
     def __init__(self, shape: Shape, style: VehicleStyle, deck: Callable[[Array, Array], Array]) -> None:
-        """`deck` is the height of the lower body's top over places x, y."""
+        """Build the greenhouse.
+
+        Args:
+            shape: Shape of the vehicle.
+            style: Style of the vehicle.
+            deck: Height of the lower body's top at positions x, y.
+        """
         self.shape, self.style = shape, style
         self.hatch = shape.deck_length < 0.3
         self.points: dict[str, Array] = {}
         self.parts: list[Mesh] = []
         self._rear_pane_w = 0.0
-        """W of the rear window's edge."""
+        """W (metres along the shell) of the rear window's edge."""
         self.pillar_x = 0.0
-        """x of the B-pillar at the belt."""
+        """x of the B-pillar at the belt, metres."""
         self.surface = self._build_shell(deck)
         self._draw_panes()
         if style.taillight == "pillar":
@@ -214,7 +230,7 @@ class Greenhouse:
         self._add_parts()
 
     def foot(self, inset: float) -> Array:
-        """(N, 2) the left outline of its foot from front to rear, `inset` metres inside."""
+        """Return the left outline (N, 2) of its foot from front to rear, `inset` metres inside."""
         outline = self._plan(0.0).outline(np.linspace(0, 1, 3))
         keep = [0, FRONT_END, FRONT_END + 2, SIDE_START, SIDE_START + 2, SIDE_START + 4, -FRONT_END - 1, -1]
         middle = np.array([(outline[0, 0] + outline[-1, 0]) / 2, 0.0])
@@ -222,7 +238,7 @@ class Greenhouse:
         return np.asarray(middle + np.sign(chosen) * np.maximum(np.abs(chosen) - inset, 0))
 
     def _plan(self, t: float) -> Plan:
-        """The section at a share of the pillars' height."""
+        """Return the section at a share of the pillars' height."""
         s = self.shape
         half = s.width / 2 - 0.03 - s.shoulder_inset
         bow = 0.15 if s.width < 1.95 else 0.12
@@ -239,12 +255,12 @@ class Greenhouse:
         return Plan(**values)
 
     def roof_edge(self, x: Array) -> Array:
-        """Height of the roof's edge."""
+        """Return the height of the roof's edge."""
         s = self.shape
         front, rear = s.cowl_x - s.screen_run, s.backlight_x + s.backlight_run
         middle = front + 0.4 * (rear - front)
         away = np.where(x > middle, (x - middle) / (front - middle), (x - middle) / (rear - middle))
-        # A short roof falls no more steeply than a long one.
+        # A short roof slopes no more steeply than a long roof.
         droop = s.roof_droop * min((front - rear) / 1.6, 1.0)
         return np.asarray(
             s.height - CABIN_SIZES.edge_rows[-1][2] - CABIN_SIZES.crown_m - droop * np.minimum(np.abs(away), 1.1) ** 2
@@ -274,11 +290,11 @@ class Greenhouse:
         return Surface(rows, levels, self._w, "paint")
 
     def _draw_panes(self) -> None:
-        """Windscreen, side panes and rear window, each in its dark surround."""
+        """Draw windscreen, side panes and rear window, each in its dark surround."""
         s, style, glass, w = self.shape, self.style, self.surface, self._w
         last, total = len(w) - 1, float(w[-1])
         screen = float(w[FRONT_END + 2]) + 0.02
-        # Under a high roof the panes end where they would end under a low one.
+        # Under a high roof, panes end at the same height as under a low roof.
         room = s.height - s.belt_height
         if style.pillar_tone and style.glazed == 1:
             glass.paint(rectangle_outline(-1, total + 1, -1, 9), ROW_AXES, style.pillar_tone, levels=(0.0, 1.0))
@@ -312,7 +328,10 @@ class Greenhouse:
         foot, head = (np.array([glass.place((end, t), ROW_AXES)[0][0] for end in ends]) for t in (low, over))
 
         def post(share: float, t: float, ahead: float = 0.0) -> tuple[float, float]:
-            """A place on a post `share` of the way along, which is upright between the slanting ends."""
+            """Return a position on a post that is `share` of the way along.
+
+            Posts are upright between the slanting ends.
+            """
             up = (t - low) / (over - low)
             slant = foot + up * (head - foot)
             x = foot[0] + share * (foot[1] - foot[0]) - 0.04 * up
@@ -337,7 +356,7 @@ class Greenhouse:
         self.pillar_x = post(s.pillar, low)[0]
 
     def _draw_screen(self, start: float, end: float, low: float, high: float, material: str) -> None:
-        """A screen with its dark surround."""
+        """Draw a screen with its dark surround."""
         a, b = (start, end + CABIN_SIZES.surround_share) if start < 0 else (start - CABIN_SIZES.surround_share, end)
         self.surface.paint(
             rectangle_outline(a, b, low - CABIN_SIZES.surround_share, min(high + CABIN_SIZES.surround_share, 1.0)),
@@ -347,7 +366,7 @@ class Greenhouse:
         self.surface.paint(rectangle_outline(start, end, low, high), ROW_AXES, material)
 
     def _draw_pillar_lamp(self) -> None:
-        """A tail lamp on the pillar beside the rear window, as tall as one below the window would be."""
+        """Draw a tail lamp on the pillar beside the rear window, as tall as a lamp below the window."""
         s, last = self.shape, len(self._w) - 1
         pane = self._rear_pane_w - CABIN_SIZES.surround_share
         outer = float(self._w[last - SIDE_START + 1])
@@ -358,7 +377,7 @@ class Greenhouse:
         draw_taillight(self.surface, "pillar", along, up, self.points)
 
     def _draw_wipers(self, screen: float, rear: float, low: float, high: float) -> None:
-        """Wipers, and the brake light behind the rear window."""
+        """Draw wipers, and the brake light behind the rear window."""
         glass, total = self.surface, float(self._w[-1])
         base = _GLASS_LOW - 0.035
         glass.line([(0.02, base), (screen - 0.2, base + 0.035)], ROW_AXES, width=0.02, layer=4)

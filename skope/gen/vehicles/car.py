@@ -39,15 +39,15 @@ class CarSizes:
     """Sizes of cars."""
 
     arch_trim_m: float = 0.07
-    """Width of the trim that is drawn around an arch, metres."""
+    """Width of the trim around a wheel arch, metres."""
     well_gap_m: float = 0.05
-    """Room between a wheel's inner face and its well, metres."""
+    """Gap between a wheel's inner face and its well, metres."""
     trim_top_row: float = 0.25
-    """Row up to which cladding and low dark bumpers reach."""
+    """Upper row of cladding and low dark bumpers."""
     crown_m: float = 0.035
-    """Height of the hood's middle over its edge, metres."""
+    """Height of the hood's middle above its edge, metres."""
     cab_end_m: float = 0.06
-    """Reach of a cab without the rest of its body behind its rear window, metres."""
+    """Length of a cab behind its rear window, metres, if the rest of the body is missing."""
 
 
 CAR_SIZES: Final = CarSizes()
@@ -55,7 +55,7 @@ CAR_SIZES: Final = CarSizes()
 _SILL, _LEDGE = 0.16, 0.40
 """Rows of the sill's edge, and of the bumpers' upper edge."""
 BODY_PROFILE: Final = np.array(
-    [  # row, share of the height, how far side, front and rear stand in, height over the shoulder
+    [  # row, share of the height, insets of side, front and rear, height above the shoulder
         [0.00, 0.00, 0.090, 0.110, 0.085, 0],
         [0.07, 0.07, 0.036, 0.040, 0.030, 0],
         [0.16, 0.16, 0.010, 0.008, 0.006, 0],
@@ -71,13 +71,13 @@ BODY_PROFILE: Final = np.array(
     ]
 )
 SOFT_SIDE: Final = np.array([0, 0, 0, -0.012, -0.018, -0.02, -0.014, 0.006, -0.004, 0, 0, 0])
-"""Distance by which the side of a body without a shoulder line stands in more than `BODY_PROFILE` says."""
+"""Extra inset of the side of a body without a shoulder line, added to `BODY_PROFILE`, metres."""
 _DECK_RIM_ROWS, _PIT, _OUTER, _INNER = 2.1, 2.2, 2.4, 2.6
 """Rows of the deck around a bed or the cabin, and of the hood's creases."""
 
 
 class CarBody:
-    """The surfaces of a car. `mesh` is the body without wheels; `points` the left keypoints by stem, and the logo."""
+    """Surfaces of a car. `mesh` is the body without wheels; `points` the left keypoints by stem, and the logo."""
 
     def __init__(self, shape: Shape, style: VehicleStyle) -> None:
         self.shape, self.style = shape, style
@@ -101,7 +101,7 @@ class CarBody:
         return merged([left, left.mirrored()])
 
     def front_half(self) -> Mesh:
-        """The left half of the cab alone, closed behind it."""
+        """Return the left half of the cab alone, closed at its rear."""
         behind = self.shape.backlight_x - CAR_SIZES.cab_end_m
         shell = clipped(self._lower.half, behind)
         house = self._greenhouse
@@ -109,7 +109,7 @@ class CarBody:
         return merged([shell, rear_wall(shell, behind, "paint"), *parts_ahead, house.surface.half, *house.parts])
 
     def hood_half(self, behind: float) -> Mesh:
-        """The left half of what lies ahead of x = `behind` below the windows; open there."""
+        """Return the left half of the body ahead of x = `behind` below the windows; open there."""
         return merged([clipped(part, behind) for part in (self._lower.half, *self._parts[:-1])])
 
     @cached_property
@@ -129,7 +129,7 @@ class CarBody:
     # -------------------------------------------------------------------------------------------------------- shell
 
     def shoulder(self, x: Array) -> Array:
-        """Height of the shoulder: hood, belt and deck in one line."""
+        """Return the height of the shoulder: hood, belt and deck in one line."""
         s = self.shape
         knots = [self.end + 0.1, s.backlight_x - 0.05, s.backlight_x + 0.3, s.cowl_x - 0.35, s.cowl_x, s.length / 2]
         belt = s.belt_height + 0.02
@@ -140,18 +140,18 @@ class CarBody:
         spread = np.linspace(-0.12, 0.12, 5)
         smooth = [np.interp(x + d, knots, heights) for d in spread]
         line = np.mean(smooth, axis=0)
-        # A hood falls more steeply towards its front edge.
+        # A hood slopes more steeply towards its front edge.
         before = np.clip((x - s.cowl_x) / max(s.length / 2 - s.cowl_x, 0.1), 0, 1)
         return np.asarray(line + 0.16 * (s.cowl_height - s.hood_height) * np.sin(np.pi * before))
 
     def deck(self, x: Array, y: Array) -> Array:
-        """Height of hood, belt and deck at places x, y."""
+        """Return the height of hood, belt and deck at positions x, y."""
         edge = self._deck_edge
         half, z = (np.interp(-x, -edge[:, 0], edge[:, k]) for k in (1, 2))
         return np.asarray(z + self._deck_rise(x, half, np.clip(y / np.maximum(half, 1e-9), 0, 1)))
 
     def _deck_rise(self, x: Array, half: Array, share: Array) -> Array:
-        """Height of the deck over its edges, at a share of its half width: its crown, the hood's dome."""
+        """Return the height of the deck above its edges at a share of its half width: its crown and the hood's dome."""
         s = self.shape
         crown = CAR_SIZES.crown_m * (1 - share**2) * (half / self._deck_edge[:, 1].max()) ** 1.5
         ahead = np.clip((x - s.cowl_x + 0.1) / 0.25, 0, 1) * np.clip((s.length / 2 - s.nose_round - x) / 0.3, 0, 1)
@@ -159,7 +159,7 @@ class CarBody:
         return np.asarray(crown + self.style.dome * ahead * np.clip((outer - share) / 0.11, 0, 1))
 
     def _crease(self, x: Array) -> Array:
-        """Share of the deck's half width where the hood's crease runs: towards the middle ahead."""
+        """Return the share of the deck's half width where the hood's crease runs; it runs towards the middle ahead."""
         s = self.shape
         before = np.clip((x - s.cowl_x) / max(s.length / 2 - s.cowl_x, 0.1), 0, 1)
         return np.asarray(0.84 - 0.2 * before)
@@ -186,7 +186,7 @@ class CarBody:
         )
 
     def _pits(self) -> list[tuple[float, float, float]]:
-        """x from, to, and floor height of what is hollow in the deck: the cabin, a bed."""
+        """Return x from, x to, and floor height of each hollow in the deck: the cabin and a bed."""
         s = self.shape
         well = SOLID_SIZES.arch_radius_wheels * s.wheel_radius + 0.04
         cabin = (max(s.backlight_x + 0.14, s.rear_axle_x + well), s.cowl_x - 0.28, self._pit_floor)
@@ -195,7 +195,10 @@ class CarBody:
         return [cabin, (self.end + 0.13, s.backlight_x - 0.08, max(s.deck_height - 0.5, s.wheel_radius + well))]
 
     def _stations(self) -> Array:
-        """Shares of the side where columns stand: around the wheels, at the pits' ends, and evenly between."""
+        """Return the positions of columns as shares of the side.
+
+        They are around the wheels, at the pits' ends, and evenly between.
+        """
         s = self.shape
         top = self._plan(*BODY_PROFILE[-1, 2:5])
         ends = top.outline(np.array([0.0, 1.0]))[[SIDE_START, -SIDE_START - 1], 0]
@@ -213,7 +216,7 @@ class CarBody:
     def _lower_shell(self) -> Surface:
         s, stations = self.shape, self._stations()
         sides = BODY_PROFILE[:, 2] + (SOFT_SIDE if self.style.soft else 0)
-        # An arch stands out from the body's side to where its shoulder line is.
+        # An arch projects from the body's side up to the shoulder line.
         outlines = [
             self._plan(side, *row[3:5]).outline(stations) for side, row in zip(sides, BODY_PROFILE, strict=True)
         ]
@@ -260,18 +263,18 @@ class CarBody:
         return rows
 
     def w_of(self, x: float) -> float:
-        """W of a place on the side."""
+        """Return W (metres along the shell) of a position on the side."""
         return float(np.interp(-x, -self.outline[SIDE_START:-SIDE_START, 0], self.w[SIDE_START:-SIDE_START]))
 
     def side_y(self, x: float) -> float:
-        """y of the body's side at its middle height."""
+        """Return y of the body's side at its middle height."""
         return float(np.interp(-x, -self.outline[:, 0], self.outline[:, 1]))
 
     # ------------------------------------------------------------------------------------------------------- panels
 
     def _draw_lower(self) -> None:
         s, lower, style = self.shape, self._lower, self.style
-        # Wells first: cut through panels, their rims would have many more edges.
+        # Wells first: if they cut through panels, their rims would have many more edges.
         for axle in (s.front_axle_x, s.rear_axle_x):
             self._carve_wheel_well(axle)
         lower.paint([(-9, -9), (9, -9), (9, 9), (-9, 9)], TOP_AXES, "under", levels=(FLOOR, BOTTOM))
@@ -295,7 +298,7 @@ class CarBody:
         self._draw_doors()
         self._parts += front.draw_front(lower, self.w, s, style, self.points)
         self._parts += rear.draw_rear(lower, self.w, s, style, self.points)
-        # What is drawn before a sink would hover over it.
+        # Panels that are drawn before a sink would float above it.
         self._draw_hood()
         self.points |= {
             "bumper_front": lower.corner(_SILL),
@@ -306,7 +309,7 @@ class CarBody:
         }
 
     def _draw_tones(self) -> None:
-        """Dark and bright parts below: the bumpers, the sills' edge."""
+        """Draw dark and bright lower parts: the bumpers and the sills' edge."""
         s, lower, style = self.shape, self._lower, self.style
         reach = SOLID_SIZES.arch_radius_wheels * s.wheel_radius
         ahead, behind = self.w_of(s.front_axle_x + reach), self.w_of(s.rear_axle_x - reach)
@@ -328,7 +331,7 @@ class CarBody:
         self._parts.append(lining)
         dark = self.style.cladding
         if self.style.soft_seams:
-            # From 12 m away a lip that stands out is a white arc before the dark well.
+            # From 12 m away, a projecting lip would be a white arc in front of the dark well.
             if dark:
                 self._draw_arch_trim(np.array([(axle + radius, 0.0), *arc, (axle - radius, 0.0)]), axle)
             return
@@ -337,7 +340,7 @@ class CarBody:
         self._parts.append(lip)
 
     def _draw_arch_trim(self, edge: Array, axle: float) -> None:
-        """Dark trim on the body around a wheel arch whose edge runs through points (N, 2), x and z."""
+        """Draw dark trim on the body around a wheel arch with its edge through points (N, 2), x and z."""
         away = edge - [axle, self.shape.wheel_radius]
         away[:, 1] = np.maximum(away[:, 1], 0)
         away /= np.linalg.norm(away, axis=1, keepdims=True)
@@ -346,7 +349,7 @@ class CarBody:
             self._lower.draw([inner[k], outer[k], outer[k + 1], inner[k + 1]], SIDE_AXES, "trim", layer=1.5)
 
     def _draw_livery(self) -> None:
-        """A stripe along the sides of what is not private."""
+        """Draw a stripe along the sides of vehicles that are not private."""
         s = self.shape
         low, high = {"taxi": (0.34, 0.24), "van": (0.46, 0.26)}.get(self.style.palette, (0.0, 0.0))
         ahead, behind = s.front_axle_x - SOLID_SIZES.arch_radius_wheels * s.wheel_radius - 0.12, self.end + 0.35
@@ -372,10 +375,10 @@ class CarBody:
         self._lower.line(points, projection, material, width=wide, levels=levels)
 
     def _draw_doors(self) -> None:
-        """Gaps around the doors, the fuel flap, handles."""
+        """Draw gaps around the doors, the fuel flap, and handles."""
         s, style, lower = self.shape, self.style, self._lower
         reach = SOLID_SIZES.arch_radius_wheels * s.wheel_radius
-        # A soft gap is pale against dark trim: it ends above.
+        # A soft gap is pale on dark trim, so it ends above the trim.
         dark = style.soft_seams and style.cladding
         low = s.clearance + (CAR_SIZES.trim_top_row * (s.belt_height - s.clearance) + 0.03 if dark else 0.13)
         ahead = min(s.front_axle_x - reach - 0.1, s.cowl_x - 0.12)
@@ -405,7 +408,7 @@ class CarBody:
             self._parts.append(parts.handle((x, y, height), "chrome" if style.chrome else "paint"))
 
     def _draw_hood(self) -> None:
-        """Gaps around the hood, along the bumpers, and around the trunk or tailgate."""
+        """Draw gaps around the hood, along the bumpers, and around the trunk or tailgate."""
         s, w = self.shape, self.w
         y = s.width / 2 - 0.135
         ahead = s.length / 2 - s.nose_round - s.nose_lean - 0.12

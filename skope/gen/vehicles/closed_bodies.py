@@ -1,5 +1,8 @@
-"""Closed cargo bodies: boxes with doors or a roller shutter, refrigerated ones, curtain sides, all with liveries; tanks
-for liquids and concrete mixers; motorhomes with windows and a bed over the cab of a van."""
+"""Closed cargo bodies, all with liveries.
+
+They are boxes with doors or a roller shutter, refrigerated boxes, curtain sides, tanks for liquids, concrete mixers,
+and motorhomes with windows and a bed over the cab of a van.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -29,16 +32,16 @@ class ClosedBodySizes:
     door_frame_m: float = 0.11
     """Width of the frame around the doors, metres."""
     shutter_share: float = 0.4
-    """Share of boxes whose rear is a roller shutter."""
+    """Share of boxes with a roller shutter at the rear."""
     belt_height_m: float = 0.95
-    """Height of the windows' lower edge over the floor, metres."""
+    """Height of the windows' lower edge above the floor, metres."""
 
 
 CLOSED_BODIES: Final = ClosedBodySizes()
 
 
 def box_body(space: CargoSpace) -> Cargo:
-    """A box of smooth panels; with a cooling unit if the style says so."""
+    """Return a box of smooth panels, with a cooling unit if the style has one."""
     rng, out = space.rng(), Cargo()
     shell, end = _box_shell(space, "livery")
     high = space.shape.height
@@ -60,13 +63,13 @@ def box_body(space: CargoSpace) -> Cargo:
 
 
 def curtain_body(space: CargoSpace) -> Cargo:
-    """A frame with curtains of tarpaulin along the sides: straps with buckles, and folds between the posts."""
+    """Return a frame with tarpaulin curtains along the sides: straps with buckles, and folds between the posts."""
     rng, out = space.rng(), Cargo()
     shell, end = _box_shell(space, "livery")
     sill, top = space.floor + 0.12, space.shape.height - 0.16
     folds = np.arange(space.end + 0.35, space.ahead - 0.25, 0.46).tolist()
     for x in folds:
-        # A fold: a lighter and a darker line side by side, as light falls along it.
+        # A fold is a lighter and a darker line beside each other, as from light along the side.
         wide = float(rng.uniform(0.03, 0.07))
         shell.draw(
             rectangle_outline(x, x + wide, sill, top), SIDE_AXES, "tarpaulin" if wide > 0.06 else "rail", layer=1
@@ -84,7 +87,10 @@ def curtain_body(space: CargoSpace) -> Cargo:
 
 
 def _box_shell(space: CargoSpace, material: str) -> tuple[Surface, float]:
-    """The box, with rails along its upper and lower edges, and marker lamps on these; W of the middle of its rear."""
+    """Return the box and W of the middle of its rear.
+
+    The box has rails along its upper and lower edges, and marker lamps on these.
+    """
     tower = Tower(
         Plan(space.half, space.ahead, space.end, 0.0, 0.0, 0.05, 0.035),
         space.floor,
@@ -106,7 +112,7 @@ def _box_shell(space: CargoSpace, material: str) -> tuple[Surface, float]:
 
 
 def _draw_box_rear(shell: Surface, space: CargoSpace, end: float, *, shutter: bool) -> None:
-    """Two doors with bolts and hinges, or the slats of a shutter."""
+    """Draw two doors with bolts and hinges, or the slats of a shutter."""
     edge, sill, top = end - space.half + CLOSED_BODIES.door_frame_m, space.floor + 0.12, space.shape.height - 0.16
     shell.line([(end + 0.1, sill), (edge, sill), (edge, top), (end + 0.1, top)], WRAP_AXES, width=0.02)
     if shutter:
@@ -146,7 +152,7 @@ def _mark_box_points(out: Cargo, shell: Surface, space: CargoSpace, end: float) 
 
 
 def luton_body(space: CargoSpace) -> Cargo:
-    """A box whose upper part reaches forward over the cab, with a shutter or doors."""
+    """Return a box with an upper part that extends forwards over the cab, with a shutter or doors."""
     rng, out = space.rng(), Cargo()
     shell, end = _box_shell(space, "livery")
     sill, top = space.floor + 0.12, space.shape.height - 0.16
@@ -160,7 +166,7 @@ def luton_body(space: CargoSpace) -> Cargo:
 
 
 def peak(space: CargoSpace, material: str) -> Mesh:
-    """The part of the box that reaches over the cab, to over the windscreen."""
+    """Return the part of the box that extends over the cab, up to the windscreen."""
     low, high = space.cab_height + 0.07, space.shape.height - 0.065
     start, front = space.ahead - 0.02, space.ahead + 0.62 * space.shape.cab_length
     outline = [
@@ -175,7 +181,7 @@ def peak(space: CargoSpace, material: str) -> Mesh:
 
 
 def tank_body(space: CargoSpace) -> Cargo:
-    """An elliptical tank on saddles, with bands, a walkway with lids on top, hose trays, a cabinet and a ladder."""
+    """Return an elliptical tank on saddles, with bands, a walkway with lids, hose trays, a cabinet and a ladder."""
     rng, out = space.rng(), Cargo()
     half, high = space.half - 0.04, (space.shape.height - space.floor - 0.32) / 2
     z = space.floor + 0.14 + high
@@ -213,7 +219,7 @@ def _tank_band(x: float, z: float, half: float, high: float, square: float) -> M
 def _tank_fittings(
     out: Cargo, space: CargoSpace, along: tuple[float, float], z: float, size: tuple[float, float]
 ) -> None:
-    """Fittings around a tank."""
+    """Add the fittings around a tank."""
     (rear, front), (half, high), s = along, size, space.shape
     add, top = out.parts.append, space.shape.height
     for x in np.linspace(rear + 0.4, front - 0.4, 3).tolist():
@@ -229,7 +235,7 @@ def _tank_fittings(
                 "trim",
             )
         )
-    # The walkway, its lids, and the rail along it.
+    # The walkway, its lids, and its rail.
     add(box((rear + 0.25, 0.0, z + high - 0.05), (front - 0.25, 0.34, z + high + 0.03), "rail"))
     for x in np.linspace(rear + 0.7, front - 0.7, 4).tolist():
         lid = parts.block((x - 0.26, -0.26, z + high - 0.05), (x + 0.26, 0.26, top - 0.06), "chrome", 0.08)
@@ -255,7 +261,7 @@ def _tank_fittings(
 
 
 def mixer_body(space: CargoSpace) -> Cargo:
-    """A drum for concrete that leans back, between its pedestals, with hopper, chute, water tank and ladder."""
+    """Return an inclined concrete drum between its pedestals, with hopper, chute, water tank and ladder."""
     s, rng, out = space.shape, space.rng(), Cargo()
     add, front, rear = out.parts.append, space.ahead - 0.75, space.end + 1.05
     length, top = front - rear, s.height
@@ -277,7 +283,7 @@ def mixer_body(space: CargoSpace) -> Cargo:
     )
     mouth = section(1.0, widest * 0.5)
     low = space.floor
-    # Pedestals: a wall ahead, a leaning frame behind; a roller under the drum's ring.
+    # Pedestals: a wall at the front, an inclined frame at the rear; a roller under the drum's ring.
     add(
         prism(
             [(front - 0.1, low), (front + 0.16, low), (front + 0.12, base + 0.1), (front - 0.04, base + 0.1)],
@@ -289,7 +295,7 @@ def mixer_body(space: CargoSpace) -> Cargo:
         add(beam((rear - 0.15, y, low), (rear + 0.25, y, mouth[1] - 0.35), 0.05, 0.07, "rail"))
     add(box((rear + 0.1, 0.0, mouth[1] - 0.62), (rear + 0.34, 0.76, mouth[1] - 0.45), "rail"))
     add(pipe((front + 0.45, 0.0, low + 0.5), (front + 0.45, space.half - 0.25, low + 0.5), 0.3, "livery", sides=12))
-    # The hopper over the mouth, and the chute that is folded up behind.
+    # The hopper above the mouth, and the folded chute at the rear.
     hopper = [(rear + 0.25, top - 0.42), (rear + 0.4, top), (rear - 0.5, top), (rear - 0.5, top - 0.42)]
     add(prism(hopper, 0.55, "livery"))
     add(
@@ -308,7 +314,7 @@ def mixer_body(space: CargoSpace) -> Cargo:
     add(beam((space.end + 0.5, 0.0, low + 0.1), (space.end + 0.2, 0.0, low + 0.6), 0.2, 0.08, "rail"))
     add(ladder(rear - 0.42, (0.62, 0.92), low + 0.05, top - 0.4, "chrome"))
     add(box((rear - 0.6, 0.55, top - 0.42), (rear - 0.05, 0.95, top - 0.38), "rail"))
-    # The end of the frame, which carries the lamps.
+    # The end of the frame, with the lamps.
     add(box((space.end + 0.04, 0.0, low - 0.22), (rear + 0.2, space.half - 0.12, low + 0.02), "trim"))
     out.parts += mudguards(space)
     out.mark(
@@ -320,7 +326,10 @@ def mixer_body(space: CargoSpace) -> Cargo:
 
 
 def living_body(space: CargoSpace) -> Cargo:
-    """A motorhome: windows with dark frames, a bed over the cab, stripes, a hatch, vents on the roof, a rack behind."""
+    """Return a motorhome body.
+
+    It has windows with dark frames, a bed over the cab, stripes, a hatch, vents on the roof and a rack at the rear.
+    """
     rng, out = space.rng(), Cargo()
     s = space.shape
     well = s.track / 2 - s.wheel_width / 2 - 0.08
@@ -368,7 +377,7 @@ def _draw_stripes(shell: Surface, space: CargoSpace, rng: np.random.Generator) -
 
 
 def _draw_motorhome_side(shell: Surface, space: CargoSpace) -> None:
-    """The windows and the door."""
+    """Draw the windows and the door."""
     belt, length = space.floor + CLOSED_BODIES.belt_height_m, space.ahead - space.end
     for share, wide, high in ((0.16, 0.7, 0.5), (0.46, 0.9, 0.55), (0.84, 0.5, 0.45)):
         x = space.end + share * length
@@ -400,7 +409,7 @@ def _draw_motorhome_side(shell: Surface, space: CargoSpace) -> None:
 
 
 def _outer_fittings(space: CargoSpace, top: float) -> list[Mesh]:
-    """The window of the bed over the cab, vents on the roof at the height `top`, half of a rack for bicycles."""
+    """Return the window of the bed over the cab, vents on the roof at height `top`, and half of a bicycle rack."""
     s, belt, length = space.shape, space.floor + CLOSED_BODIES.belt_height_m, space.ahead - space.end
     out: list[Mesh] = []
     add = out.append

@@ -1,5 +1,7 @@
-"""Further buses, whose windows, doors, signs and what stands on the roof follow a layout: low-floor city buses,
-coaches, double-deckers, school buses; and step vans, which are built alike."""
+"""Further buses with a layout of windows, doors, signs and roof equipment.
+
+They are low-floor city buses, coaches, double-deckers and school buses, and also step vans, which use the same builder.
+"""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -29,37 +31,38 @@ from skope.gen.vehicles.wheels import steel_wheel
 from skope.types import Array
 
 _BUMPER_LIP: Final = 0.07
-"""Share of the wall's height at which front and rear turn under, as of `BusBody`."""
+"""Share of the wall's height at which front and rear turn under, as for `BusBody`."""
 
 
 @dataclass(frozen=True)
 class BusLayout:
-    """Layout of a bus, metres; heights are below the roof unless they say otherwise."""
+    """Layout of a bus, metres. Heights are below the roof unless stated otherwise."""
 
     windows: float
     """Upper edge of the side windows."""
     pane: float
-    """Length of a side window, about."""
+    """Approximate length of a side window."""
     screen: float
     """Upper edge of the windscreen."""
     rear_window: tuple[float, float]
     """Lower and upper edge of the rear window."""
     doors: tuple[tuple[float, float], ...]
-    """Doors on the right: share of the way from the front axle to the rear one, and width; below 0 ahead of it."""
+    """Doors on the right: position as a share of the distance from the front to the rear axle, and width. A negative
+    position is ahead of the front axle."""
     material: str = "glass"
-    """Of the side windows."""
+    """Material of the side windows."""
     sign: bool = False
-    """Destination signs over the windscreen, beside the first door and behind."""
+    """Whether there are destination signs above the windscreen, beside the first door and at the rear."""
     pod: float = 0.0
-    """Height of what stands on the roof: air conditioning, batteries."""
+    """Height of the equipment on the roof: air conditioning, batteries."""
     flaps: bool = False
-    """Doors of the luggage hold along the sides."""
+    """Whether there are luggage doors along the sides."""
     upper: tuple[float, float] | None = None
-    """Lower and upper edge of a second deck's windows."""
+    """Lower and upper edge of the windows of a second deck; None: one deck."""
 
 
 class LaidOutBus(BusBody):
-    """A bus of a layout. `shape.belt_height` is the side windows' lower edge, `shape.hood_height` the windscreen's."""
+    """Bus with a layout. `shape.belt_height` is the side windows' lower edge, `shape.hood_height` the windscreen's."""
 
     layout: BusLayout
     ridge = 0.9
@@ -78,7 +81,7 @@ class LaidOutBus(BusBody):
     def _build_half(self, *, doors: bool) -> Mesh:
         s = self.shape
         wheel = steel_wheel(s.wheel_radius, s.wheel_width)
-        # The axles between the outer ones, whose wheels are no parts of their own.
+        # The wheels of the axles between the outer axles are not separate parts.
         inner = [wheel.moved((s.rear_axle_x + ahead, s.track / 2, s.wheel_radius)) for ahead in self.style.axles]
         pods = self._pods() if self.layout.pod else []
         return merged([super()._build_half(doors=doors), *inner, *pods])
@@ -98,7 +101,7 @@ class LaidOutBus(BusBody):
         s = self.shape
         if not self.layout.flaps:
             return arm_mirror((self.nose - 0.46, s.width / 2 - 0.05, 1.75), "trim", reach=0.25, high=0.5, sunk=0.1)
-        # A coach's mirror hangs from an arm that stands high on the corner.
+        # A coach's mirror hangs from an arm at the upper corner.
         root = (self.nose - 0.55, s.width / 2 - 0.1, s.height - 1.4)
         housing, tip = arm_mirror(root, "trim", reach=0.3, high=0.6, sunk=0.12)
         elbow = (root[0] + 0.06, tip[1] - 0.09, s.height - 0.5)
@@ -169,7 +172,7 @@ class LaidOutBus(BusBody):
     def _draw_windscreen(self, shell: Surface, screen: float) -> None:
         s, layout = self.shape, self.layout
         low, high = s.hood_height, s.height - layout.screen
-        # A dark frame around the glass, which holds the sign.
+        # A dark frame around the glass contains the sign.
         band = high + (0.34 if layout.sign else 0.1)
         screen -= 0.02
         shell.paint(rectangle_outline(-0.1, screen + 0.06, low - 0.05, band), WRAP_AXES, "trim")
@@ -223,7 +226,7 @@ class LaidOutBus(BusBody):
         self.points["beltline"] = shell.place((post, s.belt_height - 0.05), SIDE_AXES)[0]
 
     def _draw_flaps(self, shell: Surface) -> None:
-        """Doors of the hold between the axles, and of the engine behind."""
+        """Draw doors of the luggage hold between the axles, and of the engine at the rear."""
         s = self.shape
         low, high = s.clearance + 0.2, s.belt_height - 0.3
         reach = 1.2 * s.wheel_radius
@@ -261,7 +264,7 @@ class LaidOutBus(BusBody):
         }
 
     def _draw_door(self, shell: Surface, x: float, width: float) -> None:
-        """A door of two leaves of glass, as high as the lower windows."""
+        """Draw a door of two glass leaves, as high as the lower windows."""
         low, high = self.shape.clearance + 0.1, self.shape.height - self.layout.windows + 0.02
         half = width / 2
         shell.paint(rectangle_outline(x - half, x + half, low, high), SIDE_AXES, "trim", facing=PANEL_LIMITS.left_axis)
@@ -293,30 +296,30 @@ STEP_ENTRY_LAYOUT: Final = BusLayout(windows=0.55, pane=1.0, screen=0.5, rear_wi
 
 
 class CityBusBody(LaidOutBus):
-    """A low-floor city bus."""
+    """Low-floor city bus."""
 
     layout = CITY_BUS
 
 
 class CoachBody(LaidOutBus):
-    """A coach, whose passengers sit over the hold."""
+    """Coach with seats above the luggage hold."""
 
     layout = COACH_BUS
 
 
 class DoubleDeckBody(LaidOutBus):
-    """A bus with two decks."""
+    """Bus with two decks."""
 
     layout = DOUBLE_DECK
 
 
 class StepVanBody(LaidOutBus):
-    """A delivery van with an upright front, doors that slide, and a shutter behind."""
+    """Delivery van with an upright front, sliding doors and a shutter at the rear."""
 
     layout = STEP_ENTRY_LAYOUT
 
     def _draw_side_windows(self, shell: Surface) -> None:
-        """The window and the gaps of the door; graphics on the panels behind."""
+        """Draw the window, the gaps of the door, and graphics on the panels behind."""
         s = self.shape
         high = s.height - self.layout.windows
         front, back = self.nose - 0.5, self.nose - 1.3
@@ -347,7 +350,7 @@ class StepVanBody(LaidOutBus):
         self.points["beltline"] = shell.place((back, s.belt_height), SIDE_AXES)[0]
 
     def _draw_rear_window(self, shell: Surface, corner: float, end: float) -> None:
-        """A shutter in its frame, with a step below."""
+        """Draw a shutter in its frame, with a step below."""
         s = self.shape
         edge, low, high = corner + 0.22, s.clearance + 0.5, s.height - 0.42
         shell.line(
@@ -365,7 +368,7 @@ class StepVanBody(LaidOutBus):
 
 
 class SchoolBusBody(LaidOutBus):
-    """A bus behind a hood, with small windows, rub rails along the sides and flashing lamps over its screens."""
+    """School bus with a hood, small windows, rub rails along the sides and flashing lamps above its screens."""
 
     layout = SCHOOL_BUS
 
@@ -387,7 +390,7 @@ class SchoolBusBody(LaidOutBus):
         return [self._car.hood_half(self.nose - 0.25)]
 
     def _draw_livery(self, shell: Surface, end: float) -> None:
-        """Dark rub rails."""
+        """Draw dark rub rails."""
         s = self.shape
         for z in (s.clearance + 0.45, s.belt_height - 0.35, s.belt_height - 0.12):
             shell.draw(rectangle_outline(-1, end + 1, z, z + 0.06), WRAP_AXES, "gap", layer=3)
@@ -398,7 +401,7 @@ class SchoolBusBody(LaidOutBus):
                 shell.draw(disc(at, 0.085, 12), WRAP_AXES, tone, layer=5)
 
     def _draw_door(self, shell: Surface, x: float, width: float) -> None:
-        """A door that interrupts the rub rails."""
+        """Draw a door that interrupts the rub rails."""
         low, high = self.shape.clearance + 0.16, self.shape.height - self.layout.windows + 0.02
         door = rectangle_outline(x - width / 2, x + width / 2, low, high)
         shell.draw(door, SIDE_AXES, "trim", layer=5, facing=PANEL_LIMITS.left_axis)

@@ -1,4 +1,4 @@
-"""Platforms with a wall behind the cab and low or no sides, what lies on them, and the crane that loads it."""
+"""Platforms with a wall behind the cab and low or no sides, their loads, and their loading crane."""
 
 from collections.abc import Callable
 from typing import Final
@@ -18,7 +18,7 @@ STRAP_COLOR: Final = "#d9641e"
 
 
 def flatbed_body(space: CargoSpace) -> Cargo:
-    """A platform, with low sides or without, and a load that its length draws."""
+    """Return a platform, with low sides or without, and a load that follows from its length."""
     rng = space.rng()
     kinds = list(PLATFORM_LOADS)
     weights = np.array([PLATFORM_LOADS[kind][0] for kind in kinds])
@@ -27,7 +27,7 @@ def flatbed_body(space: CargoSpace) -> Cargo:
 
 
 def crane_body(space: CargoSpace) -> Cargo:
-    """A platform with sides, and a folded loading crane between it and the cab."""
+    """Return a platform with sides, and a folded loading crane between it and the cab."""
     rng = space.rng()
     out = _platform(space, rng, ("bricks", "timber", "pipes", "")[int(rng.integers(4))], sides=True, ahead=0.95)
     x, z, top = space.ahead - 0.45, space.floor, space.shape.height
@@ -46,7 +46,7 @@ def crane_body(space: CargoSpace) -> Cargo:
 
 
 def dropside_body(space: CargoSpace) -> Cargo:
-    """A platform with low sides, as light vehicles have it."""
+    """Return a platform with low sides, as on light vehicles."""
     rng = space.rng()
     return _platform(space, rng, ("", "", "bricks", "timber", "tarpaulin")[int(rng.integers(5))], sides=True)
 
@@ -102,7 +102,7 @@ def _headboard(front: float, half: float, low: float, high: float) -> list[Mesh]
 
 
 def _timber(along: tuple[float, float], half: float, low: float, high: float, rng: np.random.Generator) -> list[Mesh]:
-    """Packs of boards on battens, strapped."""
+    """Return strapped packs of boards on battens."""
     out, z = [], low
     start, end = along[0] + rng.uniform(0, 0.3), along[1] - rng.uniform(0, 0.8)
     while z + 0.5 < high:
@@ -134,7 +134,7 @@ def _straps(along: tuple[float, float], half: float, low: float, high: float) ->
 
 
 def _bricks(along: tuple[float, float], half: float, low: float, high: float, rng: np.random.Generator) -> list[Mesh]:
-    """Pallets of blocks, in rows."""
+    """Return pallets of blocks, in rows."""
     out = []
     tone = ("#a2563c", "#9a9a96", "#c7b08a", "#8d4a36")[int(rng.integers(4))]
     for x in np.arange(along[0], along[1] - 1.1, 1.22).tolist():
@@ -151,7 +151,7 @@ def _bricks(along: tuple[float, float], half: float, low: float, high: float, rn
 
 
 def _pipes(along: tuple[float, float], half: float, low: float, high: float, rng: np.random.Generator) -> list[Mesh]:
-    """Pipes or logs, stacked between posts."""
+    """Return pipes or logs, stacked between posts."""
     logs = rng.uniform() < 0.5
     radius = float(rng.uniform(0.12, 0.24))
     tone, face = (
@@ -184,7 +184,7 @@ def _pipes(along: tuple[float, float], half: float, low: float, high: float, rng
 
 
 def _machine(along: tuple[float, float], half: float, low: float, high: float, rng: np.random.Generator) -> list[Mesh]:
-    """A small digger on tracks, its arm folded towards the rear."""
+    """Return a small digger on tracks with its arm folded towards the rear."""
     tone = ("#e2a21c", "#d9641e", "#e8e4d8", "#3d7a46")[int(rng.integers(4))]
     x, wide = along[1] - 1.6, min(half - 0.1, 0.85)
     track = [(x - 0.85, 0.0, 0.0), (x - 0.6, 0.0, 0.36), (x + 0.6, 0.0, 0.36), (x + 0.85, 0.0, 0.0)]
@@ -215,7 +215,7 @@ def _machine(along: tuple[float, float], half: float, low: float, high: float, r
 def _tarpaulin(
     along: tuple[float, float], half: float, low: float, high: float, rng: np.random.Generator
 ) -> list[Mesh]:
-    """Something under a tarpaulin, lashed down."""
+    """Return a load under a lashed tarpaulin."""
     tone = ("tarpaulin", "#2f6b43", "#5f6468", "#b8b4a4")[int(rng.integers(4))]
     xs = np.linspace(along[0] + 0.05, along[1] - 0.1, 8)
     tall = 0.5 * (high - low) * rng.uniform(0.75, 1.0, len(xs))
@@ -234,4 +234,5 @@ PLATFORM_LOADS: Final[dict[str, tuple[float, Callable[..., list[Mesh]]]]] = {
     "machine": (0.12, _machine),
     "tarpaulin": (0.12, _tarpaulin),
 }
-"""Share of platforms with a load, and what makes it: of x from and to, half its width, height from and to."""
+"""Share of platforms with each load, and its builder. Its arguments are x from and to, half the width, and the
+height from and to."""

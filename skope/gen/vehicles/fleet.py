@@ -1,5 +1,7 @@
-"""The fleet: vehicle models by name, each a style and a point in its type's shape space; and shapes near a model's, so
-that no two vehicles of a dataset need to be alike."""
+"""Fleet: vehicle models by name, and random shapes near a model's shape.
+
+Each model is a style and a point in its type's shape space. Random shapes make all vehicles of a dataset different.
+"""
 
 import math
 import tomllib
@@ -44,20 +46,20 @@ BODY_KINDS: Final[dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class ParametricVehicle(Derived):
-    """A model of the fleet: a style and a point in its type's shape space."""
+    """Model of the fleet: a style and a point in its type's shape space."""
 
     model: str
     vehicle_type: str
     shape: Shape
     style: VehicleStyle
     mass: float
-    """Kilograms, laden with a driver."""
+    """Mass with a driver, kilograms."""
     substituted: tuple[str, ...] = ()
-    """Keypoints that stand for a part that this body lacks."""
+    """Keypoints that are placed at a substitute because this body lacks their part."""
     size_class: str = ""
-    """The table of `vehicle_dimensions.toml` whose ranges its dimensions stay within."""
+    """Table of `vehicle_dimensions.toml` with the ranges of its dimensions."""
     recurs: bool = field(default=False, compare=False)
-    """Whether a shape that is not the model's own occurs in other recordings too, and so is worth keeping on disk."""
+    """Whether a shape other than the model's own also occurs in other recordings, so that it is cached on disk."""
 
     @property
     def size_lwh(self) -> tuple[float, float, float]:
@@ -71,7 +73,7 @@ class ParametricVehicle(Derived):
 
     @cached_property
     def _body_arrays(self) -> Arrays:
-        """Surfaces and the left keypoints, by stem."""
+        """Return the surfaces and the left keypoints, by stem."""
 
         def build() -> Arrays:
             body: CarBody | TruckBody | BusBody = BODY_KINDS[self.style.family](self.shape, self.style)
@@ -81,14 +83,14 @@ class ParametricVehicle(Derived):
         return self._cached("vehicle", build)
 
     def _trailer_arrays(self) -> Arrays:
-        """Surfaces of the trailer in its frame, and the left keypoints on it in the vehicle's."""
+        """Return the trailer's surfaces in its own frame, and its left keypoints in the vehicle's frame."""
         body = TrailerBody(self.shape, self.style)
         inside: Arrays = body.interior.to_arrays("trailer_interior") if body.interior else {}
         points = {stem: point + [self.shape.hinge_x, 0.0, 0.0] for stem, point in body.points.items()}
         return {**body.mesh.to_arrays("trailer"), **inside, **points}
 
     def _cached(self, kind: str, build: Callable[[], Arrays]) -> Arrays:
-        """Arrays that `build` makes of this shape, from the cache; shapes that occur once are not cached."""
+        """Return the arrays that `build` makes of this shape, from the cache if the shape can recur."""
         entry = fleet().get(self.model)
         if not self.recurs and (entry is None or entry.vehicle.shape != self.shape):
             return build()
@@ -96,7 +98,7 @@ class ParametricVehicle(Derived):
 
     @cached_property
     def mesh(self) -> Mesh:
-        """The body without wheels, closed, with its glass opaque."""
+        """Closed body without wheels, with opaque glass."""
         return _with_right_indicators(Mesh.from_arrays(self._body_arrays, "mesh"))
 
     @cached_property
@@ -122,12 +124,12 @@ class ParametricVehicle(Derived):
 
     @cached_property
     def interior(self) -> Mesh:
-        """Seats, dashboard and driver, which are seen through the windows; they lie inside `mesh`."""
+        """Seats, dashboard and driver, visible through the windows; they lie inside `mesh`."""
         return Mesh.from_arrays(self._body_arrays, "interior")
 
     @cached_property
     def coarse(self) -> tuple[Mesh, ...]:
-        """The parts for pictures from afar."""
+        """Simplified parts for distant views."""
         names = [f"part{i}" for i in range(len(self.parts))]
 
         def build() -> Arrays:
@@ -139,7 +141,7 @@ class ParametricVehicle(Derived):
 
     @cached_property
     def wheel(self) -> Mesh:
-        """A left wheel about its centre; a right one is its mirror image."""
+        """Left wheel about its centre; a right wheel is its mirror image."""
         radius, width = self.shape.wheel_radius, self.shape.wheel_width
         if self.style.family == "car":
             return wheel_mesh(radius, width, self.style.spokes)
@@ -163,7 +165,10 @@ class ParametricVehicle(Derived):
 
 
 def _with_right_indicators(mesh: Mesh) -> Mesh:
-    """Of two indicators drawn on the left half and mirrored, the right one is the other lamp."""
+    """Return the mesh with the material of the right indicator on the right half.
+
+    The left half is mirrored, so both indicators first have the material of the left one.
+    """
     name = "indicator_left"
     if name not in mesh.materials:
         return mesh
@@ -179,9 +184,9 @@ class FleetEntry:
     share: float
     """Frequency of the model in traffic, relative to the others."""
     held_out: bool = False
-    """Whether the model is kept for testing, and so never in a split `train`."""
+    """Whether the model is reserved for testing and never appears in a split `train`."""
     further: bool = False
-    """Whether it drives only where `Variation.further_models` says so."""
+    """Whether the model is used only if `Variation.further_models` is set."""
 
 
 @cache
@@ -191,14 +196,17 @@ def _read_table(name: str) -> dict[str, Any]:
 
 @cache
 def class_ranges(size_class: str) -> Mapping[str, tuple[float, float]]:
-    """Least and greatest value of each dimension of a class of vehicles, metres; empty for one that has no table."""
+    """Return the minimum and maximum of each dimension of a vehicle class, metres.
+
+    Empty for a class without a table.
+    """
     ranges = _read_table("vehicle_dimensions.toml").get(size_class, {}).get("range", {})
     return {name: (low, high) for name, (low, high) in ranges.items()}
 
 
 @cache
 def fleet(*, further: bool = True) -> Mapping[str, FleetEntry]:
-    """All models of the package, by name, or only those without `FleetEntry.further`; none is built yet."""
+    """Return all models of the package by name, or only those without `FleetEntry.further`. None is built yet."""
     tables = {"fleet.toml": False} | ({"further_fleet.toml": True} if further else {})
     return {
         name: _fleet_entry(name, row, belongs)
@@ -224,7 +232,7 @@ def _fleet_entry(name: str, row: Mapping[str, Any], further: bool) -> FleetEntry
 
 
 def parametric(model: str) -> ParametricVehicle:
-    """The model of the fleet with that name."""
+    """Return the model of the fleet with this name."""
     vehicle = fleet()[model].vehicle
     assert isinstance(vehicle, ParametricVehicle)
     return vehicle
@@ -244,12 +252,12 @@ def build_vehicle(model: str, shape: Mapping[str, float], *, recurs: bool = Fals
     """Build a vehicle; equal vehicles are built once.
 
     Args:
-        model: A model of the fleet, or one that the user added.
-        shape: Shape parameters (fields of `Shape`); a model of the user has one shape only, and ignores them.
-        recurs: Whether a shape that is not the model's own is worth keeping on disk, for other recordings have it too.
+        model: A model of the fleet, or a model that the user added.
+        shape: Shape parameters (fields of `Shape`); ignored for a user's model, which has one shape only.
+        recurs: Whether a shape other than the model's own is cached on disk because other recordings use it too.
 
     Raises:
-        UserError: There is no such model or parameter.
+        UserError: The model or the parameter does not exist.
     """
     if model not in fleet():
         return load_model(model)
@@ -260,28 +268,31 @@ _LENGTH_FIELDS: Final = frozenset((
     "length", "wheelbase", "front_overhang", "cowl_setback", "screen_run", "backlight_run", "deck_length", "cab_length",
     "hood_length", "hinge_setback", "hinge_gap", "trailer_front", "trailer_length", "trailer_axle",
 ))  # fmt: skip
-"""Dimensions along a vehicle, which are stretched together."""
+"""Dimensions along a vehicle, which are scaled together."""
 _WIDTH_FIELDS: Final = frozenset(("width", "track", "headlight_inner", "taillight_inner", "roof_inset"))
-"""Dimensions across a vehicle, which are stretched together."""
+"""Dimensions across a vehicle, which are scaled together."""
 _HEIGHT_FIELDS: Final = frozenset((
     "height", "bumper_height", "headlight_low", "headlight_high", "taillight_low", "taillight_high",
     "hood_height", "cowl_height", "belt_height", "deck_height", "box_height", "clearance",
     "hinge_height", "trailer_floor", "trailer_height",
 ))  # fmt: skip
-"""Dimensions upwards, which are stretched together."""
+"""Vertical dimensions, which are scaled together."""
 _STRETCH_SIGMA: Final = 0.025
-"""Standard deviation of the share by which a jittered shape is longer, wider or higher than its model."""
+"""Standard deviation of the relative change of length, width and height of a jittered shape."""
 
 
 def jittered(model: str, rng: np.random.Generator) -> Mapping[str, float]:
-    """Shape parameters near a model's, within the ranges of its class: stretched along each axis, and slightly bent."""
+    """Return random shape parameters near a model's, within the ranges of its class.
+
+    The shape is scaled along each axis and slightly bent.
+    """
     one_of("model", model, tuple(fleet()))
     vehicle = parametric(model)
     ranges = class_ranges(vehicle.size_class)
     whole = vehicle.shape.to_dict()
     scales = []
     for names in (_LENGTH_FIELDS, _WIDTH_FIELDS, _HEIGHT_FIELDS):
-        # One share for an axis, within what keeps all its dimensions in their ranges.
+        # One factor per axis, limited so that all its dimensions stay in their ranges.
         bounds = [(ranges[name][0] / whole[name], ranges[name][1] / whole[name]) for name in names if name in ranges]
         low, high = max(bound[0] for bound in bounds), min(bound[1] for bound in bounds)
         scales.append((names, float(np.clip(1 + _STRETCH_SIGMA * rng.standard_normal(), low, high))))
@@ -291,14 +302,14 @@ def jittered(model: str, rng: np.random.Generator) -> Mapping[str, float]:
         out[name] = float(value * scale)
     for name in ("screen_run", "backlight_run", "roof_inset", "nose_round", "tail_round", "roof_droop", "nose_lean"):
         out[name] *= float(1 + 0.05 * np.clip(rng.standard_normal(), -2, 2))
-    # A stream of its own: dimensions do not depend on how many details there are.
+    # A separate random stream: dimensions do not depend on the number of details.
     own = rng.spawn(1)[0]
     _jitter_lamps(out, vehicle.style.family, own)
     return out | draw_details(vehicle.style, vehicle.vehicle_type, own)
 
 
 def _jitter_lamps(shape: dict[str, float], family: str, rng: np.random.Generator) -> None:
-    """Make the lamps of a car taller or flatter, wider or narrower, higher or lower."""
+    """Change height, width and position of a car's lamps at random."""
     if family != "car":
         return
     top = {"headlight": shape["hood_height"] - 0.03, "taillight": shape["deck_height"] - 0.03}

@@ -1,5 +1,8 @@
-"""The fronts of vehicles: grilles and intakes with depth, fog lamps, plate and logo; headlights with lenses behind
-clear glass, strips of daytime light and indicators."""
+"""Fronts of vehicles.
+
+They have grilles and intakes with depth, fog lamps, a plate and a logo. Headlights have lenses behind clear glass,
+daytime light strips and indicators.
+"""
 
 from dataclasses import dataclass
 from typing import Final
@@ -38,7 +41,7 @@ FRONT_SIZES: Final = FrontSizes()
 
 _RIM_SHIFT: Final = np.array([FRONT_SIZES.rim_m, 0.0])
 _DARK_KINDS: Final = frozenset(("swept", "hook", "slim", "narrow", "blade", "pixel", "split"))
-"""Kinds with a dark housing."""
+"""Kinds of headlights with a dark housing."""
 LENS_PLACES: Final[dict[str, tuple[tuple[float, float], ...]]] = {
     "slim": ((0.2, 0.52), (0.42, 0.52)),
     "drop": ((0.4, 0.52),),
@@ -49,7 +52,7 @@ LENS_PLACES: Final[dict[str, tuple[tuple[float, float], ...]]] = {
     "split": (),
     "pixel": (),
 }
-"""Places of the lenses, shares across and up; of kinds that are not listed (0.24, 0.52) and (0.5, 0.52)."""
+"""Positions of the lenses by kind, shares across and up. Other kinds have (0.24, 0.52) and (0.5, 0.52)."""
 LIGHT_STRIPS: Final[dict[str, tuple[tuple[float, float, float, float], ...]]] = {
     "swept": ((0.04, 0.86, 0.05, 0.17),),
     "hook": ((0.03, 0.86, 0.84, 0.95), (0.03, 0.08, 0.1, 0.84)),
@@ -61,7 +64,7 @@ LIGHT_STRIPS: Final[dict[str, tuple[tuple[float, float, float, float], ...]]] = 
     "tall": ((0.05, 0.14, 0.08, 0.92),),
     "split": ((0.03, 0.78, 0.25, 0.8),),
 }
-"""Strips of daytime light: shares across from and to, up from and to."""
+"""Daytime light strips by kind: shares across from and to, up from and to."""
 INDICATOR_PARTS: Final = {
     "swept": (0.72, 0.95, 0.3, 0.82),
     "slim": (0.72, 0.96, 0.2, 0.7),
@@ -71,20 +74,20 @@ INDICATOR_PARTS: Final = {
     "tall": (0.72, 0.93, 0.12, 0.5),
     "split": (0.8, 0.97, 0.15, 0.85),
 }
-"""The indicator, as the strips."""
+"""Indicators by kind, in the form of `LIGHT_STRIPS`."""
 
 
 def draw_headlight(
     shell: Surface, kind: str, along: tuple[float, float], up: tuple[float, float], below: float, points: Points
 ) -> None:
-    """Draw a headlight on a shell and note its keypoints.
+    """Draw a headlight on a shell and record its keypoints.
 
     Args:
-        shell: What it is drawn on.
+        shell: The shell to draw on.
         kind: One of `VehicleStyle.headlight`.
         along: From and to, metres along the shell.
         up: From and to, metres above the road.
-        below: Height above the road down to which a lamp's lower half may reach, metres.
+        below: Minimum height of a lamp's lower half above the road, metres.
         points: Keypoints by stem.
     """
     if kind in ("round", "ring"):
@@ -96,7 +99,7 @@ def draw_headlight(
 def _draw_lenses(
     shell: Surface, kind: str, along: tuple[float, float], up: tuple[float, float], below: float, points: Points
 ) -> None:
-    """A lamp behind clear glass: lenses, a strip of daytime light, an indicator."""
+    """Draw a lamp behind clear glass: lenses, a daytime light strip, an indicator."""
     lamp, tall = _headlight_outline(kind, along, up)
     inner, outer = lamp[0, 0], lamp[1, 0]
     shape = rounded(lamp, 0.045 if kind == "drop" else 0.02)
@@ -120,7 +123,7 @@ def _draw_lenses(
 
 
 def _headlight_outline(kind: str, along: tuple[float, float], up: tuple[float, float]) -> tuple[Array, float]:
-    """The lamp's corners, from its inner lower one around, and the height that its lenses have; metres."""
+    """Return the lamp's corners, from its inner lower corner around, and the height of its lenses, metres."""
     (inner, outer), (low, high) = along, up
     tall = high - low
     if kind == "blade":
@@ -138,7 +141,7 @@ def _headlight_outline(kind: str, along: tuple[float, float], up: tuple[float, f
 
 
 def _draw_lower_lamp(shell: Surface, along: tuple[float, float], up: tuple[float, float]) -> None:
-    """The main lamp in the bumper below a strip of daytime light."""
+    """Draw the main lamp in the bumper below a daytime light strip."""
     (inner, outer), (low, high) = along, up
     low = min(low, high - 0.06)
     pocket = quad(inner, outer, (low, low + 0.01), (high, high + 0.01))
@@ -187,11 +190,12 @@ _GRILLE_SLOTS: Final = {
     "blocks": [((0.06, 0.0), (0.0, 0.5)), ((0.03, 0.5), (-0.02, 1.0))],
     "kidneys": [((0.025, 0.0), (0.0, 0.4))],
 }
-"""Grilles of several openings: where those on the left begin and end, metres and shares of the way to the lamp."""
+"""Grilles with several openings: start and end of those on the left, in metres and shares of the distance to the
+lamp."""
 
 
 def draw_front(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: Points) -> list[Mesh]:
-    """Draw a front on a shell and note its keypoints; returns what stands out from it."""
+    """Draw a front on a shell and record its keypoints; return the parts that project from it."""
     inner, outer = s.headlight_inner, float(w[SIDE_START - 3]) + s.headlight_wrap
     low, high = s.headlight_low, s.headlight_high
     wide = float(w[FRONT_END])
@@ -200,7 +204,7 @@ def draw_front(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: 
     plate = plate_height(intake[0] + 0.03 if style.intake in ("wide", "triple", "deep") else intake[1] + 0.02)
     plate = _stepped(plate, style.plate_steps, s.clearance + 0.06, (low + high) / 2 - 0.05)
     logo = shell.place((0.0, (low + high) / 2), WRAP_AXES)[0] * [1, 0, 1]
-    # Hung before anything is sunk: in front of the skin, not in an intake.
+    # The plate is placed before anything is sunk, so that it is in front of the skin and not in an intake.
     hung = (
         [parts.plate(*_plate_place(shell, plate, bent=style.soft_seams), 1.0, style.front_plate)]
         if style.front_plate
@@ -214,15 +218,15 @@ def draw_front(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: 
 
 
 def _stepped(plate: float, steps: int, low: float, high: float) -> float:
-    """A plate's height some places above its usual one, where it stays between two heights there, metres."""
+    """Return a plate's height `steps` places above its usual height, limited to `low` to `high`, metres."""
     moved = plate + steps * parts.PART_SIZES.plate_step_m
     return moved if low <= moved <= high - parts.PART_SIZES.plate_m[1] else plate
 
 
 def _plate_place(shell: Surface, plate: float, *, bent: bool) -> tuple[float, float, float]:
-    """Place of a number plate at a front: x of its lower edge, height, how far it leans back.
+    """Return the position of a number plate at a front: x of its lower edge, its height, and its backward lean.
 
-    `bent`: the front may stand out between the plate's edges.
+    With `bent`, the front may project between the plate's edges.
     """
     _, high = parts.PART_SIZES.plate_m
     (low_x, *_), (high_x, *_) = (shell.place((0.0, plate + z), WRAP_AXES)[0] for z in (0.0, high))
@@ -234,7 +238,7 @@ def _plate_place(shell: Surface, plate: float, *, bent: bool) -> tuple[float, fl
 
 
 def _draw_grille(shell: Surface, s: Shape, style: VehicleStyle, intake: float) -> None:
-    """The upper grille between the headlights, sunk behind its frame."""
+    """Draw the upper grille between the headlights, sunk behind its frame."""
     bottom, top, edge = s.headlight_low, s.headlight_high, s.headlight_inner - 0.03
     tall = top - bottom
     outlines = {
@@ -282,7 +286,7 @@ def _draw_grille(shell: Surface, s: Shape, style: VehicleStyle, intake: float) -
         shell.draw(rectangle_outline(-edge, edge, top - 0.055, top - 0.01), WRAP_AXES, "lamp_dark", layer=1)
         shell.draw(rectangle_outline(-edge, edge, top - 0.042, top - 0.022), WRAP_AXES, "daylight", layer=2)
     elif style.grille == "closed":
-        # A closed nose: a glossy band between the lamps.
+        # A closed nose has a glossy band between the lamps.
         shell.draw(rectangle_outline(-edge, edge, top - 0.05, top - 0.015), WRAP_AXES, "gap", layer=1)
 
 

@@ -1,4 +1,4 @@
-"""The interior of a vehicle, as seen through the windows: dashboard, seats, steering wheel and a driver."""
+"""Interior of a vehicle, visible through the windows: dashboard, seats, steering wheel and a driver."""
 
 import numpy as np
 
@@ -17,10 +17,18 @@ def interior(
     pitch: float = 0.85,
     ground: tuple[float, float, float] | None = None,
 ) -> Mesh:
-    """A cabin between the heights `floor` and `roof`, metres.
+    """Return a cabin interior between the heights `floor` and `roof`, metres.
 
-    `cowl` and `driver` are the x of dashboard and driver's back, `pitch` is between rows of seats; `ground` closes the
-    cabin below: x of its rear, half its width, its height.
+    Args:
+        cowl: x of the dashboard.
+        floor: Height of the floor.
+        belt: Height of the windows' lower edge.
+        roof: Height of the roof.
+        half_width: Half of the cabin's width.
+        driver: x of the driver's back.
+        rows: Number of rows of seats.
+        pitch: Distance between rows of seats.
+        ground: Plate that closes the cabin at the bottom: x of its rear, half its width, its height. None: no plate.
     """
     out: list[Mesh] = []
     y = half_width * 0.52
@@ -39,7 +47,10 @@ def interior(
 
 
 def seats(front: float, rear: float, floor: float, half_width: float, ground: tuple[float, float]) -> Mesh:
-    """Rows of seats from `front` to `rear`, without a driver, on a floor; `ground`: half its width, its height."""
+    """Return rows of seats from `front` to `rear` on a floor, without a driver.
+
+    `ground`: half its width, its height.
+    """
     half, low = ground
     out = [box((rear - 0.6, -half, low - 0.02), (front + 0.7, half, low), "dashboard")]
     for x in np.linspace(front, rear, 5):

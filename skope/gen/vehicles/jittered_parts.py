@@ -1,4 +1,4 @@
-"""Parts that jittered vehicles have in place of their model's, so that no model stands for one face and one rear."""
+"""Parts that replace those of the model in jittered vehicles, so that one model has many faces and rears."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
@@ -10,18 +10,18 @@ from skope.errors import UserError
 from skope.gen.vehicles.shape import DETAIL_NAMES, Shape, VehicleStyle
 
 GLOSS_BLACK: Final = "#111111"
-"""Gloss black, as of painted roofs and mirrors."""
+"""Gloss black of painted roofs and mirrors."""
 HATCH_TYPES: Final = frozenset(("hatchback", "city_car", "wagon", "suv", "minivan"))
 
 
 class Detail(NamedTuple):
-    """A part that comes in several kinds."""
+    """Part with several kinds."""
 
     options: tuple[tuple[float, Mapping[str, Any]], ...]
-    """Share of each option, relative to the others, and the fields of `VehicleStyle` that it replaces; the first one
-    is the model's own part."""
+    """Share of each option, relative to the others, and the fields of `VehicleStyle` that it replaces; the first
+    option is the model's own part."""
     suits: Callable[[VehicleStyle, str], bool]
-    """Whether a vehicle of a style and type may have another one than its model's."""
+    """Return whether a vehicle of a style and type may have another kind than its model's."""
 
 
 def _is_car(style: VehicleStyle, vehicle_type: str) -> bool:
@@ -54,7 +54,7 @@ def _has_rear_panes(style: VehicleStyle, vehicle_type: str) -> bool:
 
 
 def _kinds(own: float, field: str, shares: Mapping[Any, float]) -> tuple[tuple[float, Mapping[str, Any]], ...]:
-    """The model's own part, and one option for each value of a field."""
+    """Return the model's own part, and one option per value of a field."""
     return (own, {}), *((share, {field: value}) for value, share in shares.items())
 
 
@@ -161,15 +161,15 @@ ALL_DETAILS: Final[dict[str, Detail]] = {
     "spoiler": Detail(_kinds(3, "spoiler", {True: 1, False: 1}), _is_hatch),
     "spokes": Detail(_kinds(3, "spokes", {4: 0.5, 5: 3, 6: 1, 7: 1, 9: 1, 10: 2, 12: 1, 14: 1, 18: 1}), _is_car),
 }  # fmt: skip
-"""Every detail by its name in `Details`."""
+"""All details by their name in `Details`."""
 
 
 class _Rare(NamedTuple):
-    """Options that few vehicles have besides those for which they are usual."""
+    """Options that are rare on vehicles other than those for which they are usual."""
 
     options: slice
     factor: float
-    """Factor on their share on other vehicles."""
+    """Factor on the options' share on other vehicles."""
     usual: Callable[[VehicleStyle, str], bool]
 
 
@@ -179,13 +179,13 @@ RARE_DETAILS: Final = {
     "taillight": _Rare(slice(-1, None), 0, lambda _, kind: kind == "van"),
     "roof_load": _Rare(slice(3, 4), 0.15, lambda _, kind: kind == "van"),
 }
-"""The options among `ALL_DETAILS` that are rare on most vehicles, or on vans alone, by the detail's name."""
+"""Options in `ALL_DETAILS` that are rare or absent on vehicles for which `usual` is false, by the detail's name."""
 DIRTY_SHARE: Final = 0.45
-"""Share of vehicles that are not clean."""
+"""Share of vehicles that are dirty."""
 
 
 def draw_details(style: VehicleStyle, vehicle_type: str, rng: np.random.Generator) -> dict[str, float]:
-    """Options for a vehicle of a style and type, by name of `Details`; what stays the model's own is left out."""
+    """Return random options for a vehicle of a style and type, by name of `Details`, without the model's own parts."""
     out = {}
     for name, detail in ALL_DETAILS.items():
         shares = np.array([share for share, _ in detail.options], dtype=np.float64)
@@ -201,10 +201,10 @@ def draw_details(style: VehicleStyle, vehicle_type: str, rng: np.random.Generato
 
 
 def styled(style: VehicleStyle, shape: Shape) -> VehicleStyle:
-    """A model's style with the parts that a shape's details say.
+    """Return a model's style with the parts that a shape's details select.
 
     Raises:
-        UserError: A detail has no such option.
+        UserError: A detail has no option of that number, or `dirt` is out of range.
     """
     changes: dict[str, Any] = {}
     for name, detail in ALL_DETAILS.items():

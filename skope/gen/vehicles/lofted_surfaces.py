@@ -1,11 +1,12 @@
-"""Lofts: the left half of a shell, made of plan outlines stacked in height, on whose surface panels are drawn.
+"""Lofts: the left half of a shell, made of plan outlines stacked in height, with panels drawn on its surface.
 
-A shell's columns run from the middle of the front around the left corner, along the side and around the rear corner
-to the middle of the rear; its rows run from the middle of the floor outwards, up the wall and over the top to the
-middle. Panels are convex polygons in some projection of the surface. What is as large as a pane is painted: triangles
-are split along its edges and take its material, so that the shell stays closed. Lamps and intakes are sunk: what is
-painted moves inwards, and walls close the rim. What is small or thin is drawn: a copy of what lies in the polygon
-hovers a millimetre over the shell, which need not be split for it.
+A shell's columns run from the middle of the front around the left corner, along the side and around the rear corner to
+the middle of the rear. Its rows run from the middle of the floor outwards, up the wall and over the top to the middle.
+Panels are convex polygons in some projection of the surface. There are three ways to add them:
+- Painted (panes and larger panels): triangles are split along its edges and get its material. The shell stays closed.
+- Sunk (lamps and intakes): the painted area moves inwards, and walls close the rim.
+- Drawn (small or thin panels): a copy of the surface in the polygon floats a millimetre above the shell, which is not
+  split.
 """
 
 from collections.abc import Collection, Sequence
@@ -21,7 +22,7 @@ from skope.gen.vehicles.triangle_cuts import TRIANGLE_EDGES, ConvexPolygon, Indi
 from skope.types import Array
 
 X, Y, Z, NX, NY, NZ, W, T = range(8)
-"""Columns of a surface's vertices: position, normal, metres along the outline from the front's middle, row."""
+"""Columns of a surface's vertices: position, normal, metres along the outline from the middle of the front, row."""
 WRAP_AXES: Final = (W, Z)
 ROW_AXES: Final = (W, T)
 SIDE_AXES: Final = (X, Z)
@@ -31,32 +32,32 @@ FLOOR, INNER, BOTTOM, SHOULDER, DECK, CENTER = -2.0, -1.0, 0.0, 1.0, 2.0, 3.0
 """Rows (T) of a shell: the floor's middle and inner edge, the wall's ends, the rim, the top's middle."""
 
 _FRONT_INTERVALS, _CORNER_INTERVALS = 4, 4
-"""Intervals between columns over half the front or rear, and around a corner."""
+"""Number of intervals between columns over half the front or rear, and around a corner."""
 LAYER_LIFT_M: Final = 0.0012
-"""Distance by which each layer of what is drawn hovers over the one below, metres."""
+"""Distance of each layer of drawn panels above the layer below, metres."""
 CREASE_COS: Final = np.cos(np.radians(38))
 _SAME_ROW: Final = 1e-6
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A horizontal section of a shell, metres."""
+    """Horizontal section of a shell, metres."""
 
     half_width: float
     front: float
     """x of the front in the middle."""
     rear: float
     front_round: float
-    """Distance by which the corners stand back behind the middle."""
+    """Distance of the corners behind the middle of the front."""
     rear_round: float
     front_radius: float
     rear_radius: float
     front_taper: float = 0.0
-    """Distance by which each side is narrower at the corner than in the middle of the vehicle."""
+    """Reduction of the half width from the middle of the vehicle to the corner."""
     rear_taper: float = 0.0
 
     def outline(self, stations: Array) -> Array:
-        """(columns, 2) x, y; `stations` are shares of the side from front to rear."""
+        """Return x, y (columns, 2); `stations` are shares of the side from front to rear."""
         front, rear = self._end_outline(1.0), self._end_outline(-1.0)[::-1]
         x = front[-1, 0] + (rear[0, 0] - front[-1, 0]) * stations[1:-1]
         return np.concatenate([front, np.stack([x, self._side_half_width(x)], axis=-1), rear])
@@ -68,7 +69,7 @@ class Plan:
         return np.asarray(self.half_width - taper * np.abs(share) ** 3)
 
     def _end_outline(self, sign: float) -> Array:
-        """Points from the middle of one end to the side, around its corner."""
+        """Return points from the middle of one end to the side, around its corner."""
         ahead, back, radius = (
             (self.front, self.front_round, self.front_radius)
             if sign > 0
@@ -83,20 +84,20 @@ class Plan:
         t = np.linspace(0, 1, _CORNER_INTERVALS + 1)[1:, None]
         start, end = np.array([x[-1], y[-1]]), np.array([bend[0] - radius, half])
         end[1] = float(self._side_half_width(np.array([sign * end[0]]))[0])
-        # A little fuller than the parabola of three points, near a circle's arc.
+        # Slightly fuller than the parabola through three points, close to a circular arc.
         curve = (1 - t) ** 2 * start + 2 * t * (1 - t) * bend + t**2 * end
         both = np.concatenate([np.stack([x, y], axis=-1), curve])
         return np.asarray(both * [sign, 1.0])
 
 
 FRONT_END: Final = _FRONT_INTERVALS
-"""Column where the front's corner begins; counted from the last column, where the rear's does."""
+"""Column where the front's corner begins; counted from the last column, where the rear's corner begins."""
 SIDE_START: Final = _FRONT_INTERVALS + _CORNER_INTERVALS
 """Column where the side begins; counted from the last column, where it ends."""
 
 
 class Surface:
-    """The left half of a shell; `half` and `whole` are its meshes."""
+    """Left half of a shell; `half` and `whole` are its meshes."""
 
     def __init__(
         self,
@@ -107,7 +108,15 @@ class Surface:
         *,
         creases: Collection[float] = (),
     ) -> None:
-        """Rows (columns, 3) with their T, and W of each column; the surface is broken at the rows `creases`."""
+        """Build the surface.
+
+        Args:
+            rows: Positions (columns, 3) of each row.
+            levels: T of each row.
+            along: W of each column.
+            material: Material of the surface.
+            creases: Rows at which the normals are discontinuous.
+        """
         self._creases = np.array(sorted(creases))
         self._drawn: list[Mesh] = []
         points = np.stack(rows)
@@ -120,7 +129,7 @@ class Surface:
         self._names = [material]
 
     def _set_up(self, points: Array, place: Array, triangles: Indices) -> None:
-        """Smooth normals, broken at creases and mirrored at the middle; triangles without area are left out."""
+        """Compute smooth normals, broken at creases and mirrored at the middle; drop triangles without area."""
         face = cross(
             points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]]
         )
@@ -163,9 +172,10 @@ class Surface:
         levels: tuple[float, float] = (BOTTOM, SHOULDER),
         facing: tuple[float, float, float] | None = None,
     ) -> Array:
-        """Give what lies in a convex polygon of a projection a material; returns the (N, 8) vertices that it has now.
+        """Give the area in a convex polygon of a projection a material; return the (N, 8) vertices of that area.
 
-        Only triangles between two rows `levels`, and turned within 45 degrees to `facing` if that is given, are taken.
+        Only triangles between the two rows `levels` are used and, if `facing` is given, only those within 45 degrees of
+        it.
         """
         chosen = self._cut_polygon(polygon, projection, levels, facing)
         self._material[chosen] = self._material_number(material)
@@ -178,14 +188,14 @@ class Surface:
         levels: tuple[float, float],
         facing: tuple[float, float, float] | None,
     ) -> Indices:
-        """Split triangles along a polygon's edges; returns those inside."""
+        """Split triangles along a polygon's edges; return those inside."""
         outline = ConvexPolygon.of(polygon)
         active = self._reached(outline, projection, levels, facing)
         if not active.any():
             return np.zeros(0, dtype=np.int64)
         touched = np.zeros(len(self._vertices), dtype=bool)
         touched[self._triangles[active]] = True
-        # Neighbours are split with them, so that the shell stays closed.
+        # Neighbours are split too, so that the shell stays closed.
         local = touched[self._triangles].any(axis=1)
         used, triangles = _renumbered(self._triangles[local])
         made = cut(self._vertices[used], triangles, active[local], outline, projection, keep_outside=True)
@@ -207,7 +217,7 @@ class Surface:
         levels: tuple[float, float],
         facing: tuple[float, float, float] | None,
     ) -> NDArray[np.bool_]:
-        """(T,) which triangles lie between two rows, are turned to `facing`, and may lie in a polygon."""
+        """Return a mask (T,) of the triangles between two rows that face `facing` and may lie in a polygon."""
         active = self._between(levels)
         for column, start, end in zip(projection, polygon.low, polygon.high, strict=True):
             low, high = self._extremes(column)
@@ -218,12 +228,12 @@ class Surface:
         return active
 
     def _between(self, levels: tuple[float, float]) -> NDArray[np.bool_]:
-        """(T,) which triangles lie between two rows."""
+        """Return a mask (T,) of the triangles between two rows."""
         low, high = self._extremes(T)
         return np.asarray((low >= levels[0] - 1e-6) & (high <= levels[1] + 1e-6))
 
     def _extremes(self, column: int) -> tuple[Array, Array]:
-        """(T,) least and greatest value of a column at each triangle's corners."""
+        """Return the minimum and maximum (T,) of a column over each triangle's corners."""
         if column not in self._known_extremes:
             a, b, c = self._vertices[:, column][self._triangles].T
             self._known_extremes[column] = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
@@ -243,7 +253,7 @@ class Surface:
         wall: str = "trim",
         levels: tuple[float, float] = (BOTTOM, SHOULDER),
     ) -> None:
-        """Move what lies in a convex polygon `depth` metres inwards, level, and close its rim with walls."""
+        """Move the area in a convex polygon `depth` metres horizontally inwards, and close its rim with walls."""
         chosen = self._cut_polygon(polygon, projection, levels, None)
         if not len(chosen):
             return
@@ -270,7 +280,10 @@ class Surface:
         )
 
     def _outward_directions(self, used: Indices) -> Array:
-        """Unit vectors in the plan, one for all vertices at the same place: neither creases gape nor heights change."""
+        """Return horizontal outward unit vectors, equal for all vertices at one position.
+
+        With these, creases stay closed and heights do not change.
+        """
         same, _ = numbered_rows(self._vertices[used, :NX], 6)
         total = np.zeros((len(used), 3))
         np.add.at(total, same, self._vertices[used, NX:W])
@@ -278,7 +291,7 @@ class Surface:
         return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
 
     def _rim_edges(self, triangles: Indices) -> tuple[Indices, Indices]:
-        """Starts and ends of the edges around triangles, counter-clockwise."""
+        """Return starts and ends of the edges around triangles, counter-clockwise."""
         used, local = _renumbered(triangles)
         same, _ = numbered_rows(self._vertices[used, :NX], 6)
         edges = triangles[:, TRIANGLE_EDGES].reshape(-1, 2)
@@ -302,7 +315,7 @@ class Surface:
         levels: tuple[float, float] = (BOTTOM, SHOULDER),
         facing: tuple[float, float, float] | None = None,
     ) -> None:
-        """Lay a material over what lies in a convex polygon of a projection, on top of lower layers."""
+        """Draw a material over the area in a convex polygon of a projection, above lower layers."""
         outline = ConvexPolygon.of(polygon)
         at = np.flatnonzero(self._reached(outline, projection, levels, facing))
         if not len(at):
@@ -312,7 +325,7 @@ class Surface:
         made = cut(self._vertices[used], triangles, every, outline, projection, keep_outside=False)
         inside = made.triangles[made.inside]
         a, b, c = np.moveaxis(made.vertices[:, projection][inside], 1, 0)
-        # Walls around what is sunk have no area here, and nothing to show.
+        # Walls around sunk areas have no area in this projection and are not visible.
         inside = inside[np.abs(_cross(b - a, c - a)) > 1e-9]
         if not len(inside):
             return
@@ -323,8 +336,10 @@ class Surface:
         self._drawn.append(Mesh(position, v[:, NX:W], index, (material,), kind))
 
     def corner(self, level: float, *, rear: bool = False) -> Array:
-        """(3,) position where a row turns from the front, or the rear, to the side: where it lies farthest out along
-        the diagonal, so that its tangent runs at 45 degrees."""
+        """Return the position (3,) at which a row turns from the front, or the rear, to the side.
+
+        It is the farthest point outwards along the diagonal, where the tangent is at 45 degrees.
+        """
         row = self._vertices[np.abs(self._vertices[:, T] - level) < _SAME_ROW]
         outwards = np.array([-1.0 if rear else 1.0, 1.0])
         return np.asarray(row[(row[:, [X, Y]] @ outwards).argmax(), :NX])
@@ -336,7 +351,7 @@ class Surface:
         *,
         levels: tuple[float, float] = (BOTTOM, SHOULDER),
     ) -> tuple[Array, Array]:
-        """(3,) position and unit normal of the surface's outermost point over a point of a projection."""
+        """Return position and unit normal (3,) of the surface's outermost point at a point of a projection."""
         triangles = self._triangles[self._between(levels)]
         a, b, c = np.moveaxis(self._vertices[:, projection][triangles], 1, 0)
         p = np.asarray(point, dtype=np.float64)
@@ -345,7 +360,7 @@ class Surface:
         area = np.where(flat, 1.0, area)
         shares = np.stack([_cross(b - p, c - p), _cross(c - p, a - p), _cross(a - p, b - p)], axis=-1) / area[:, None]
         shares[flat] = -9.0
-        # Over a hole, the nearest triangle's edge.
+        # In a hole, use the nearest triangle's edge.
         least = np.minimum(np.minimum(shares[:, 0], shares[:, 1]), shares[:, 2])
         inside = np.flatnonzero(least > min(-1e-6, float(least.max()) - 1e-9))
         weights = np.clip(shares[inside], 0, 1)
@@ -355,7 +370,7 @@ class Surface:
         return best[:NX], best[NX:W] / np.linalg.norm(best[NX:W])
 
     def side(self, place: Array) -> float:
-        """y of the surface's outermost point over a place x, z."""
+        """Return y of the surface's outermost point at a position x, z."""
         return float(self.place(place, SIDE_AXES)[0][1])
 
     def line(
@@ -379,9 +394,10 @@ class Surface:
             self.draw(quad, projection, material, layer=layer, levels=levels, facing=facing)
 
     def carve_well(self, polygon: ArrayLike, inner: float) -> tuple[Mesh, Array]:
-        """Cut a wheel well, a polygon seen from the side, as deep as y = `inner`.
+        """Cut a wheel well to the depth y = `inner`; `polygon` is its outline in side view.
 
-        Returns its lining and the (N, 2, 3) edges that it leaves in the wall, each counter-clockwise around the hole.
+        Returns:
+            Its lining, and the (N, 2, 3) edges of the hole in the wall, each counter-clockwise around the hole.
         """
         gone = self._cut_polygon(polygon, SIDE_AXES, (INNER, SHOULDER), None)
         removed = self._triangles[gone]
@@ -410,7 +426,7 @@ class Surface:
 
 
 def _renumbered(triangles: Indices) -> tuple[Indices, Indices]:
-    """The vertices that triangles (T, 3) use, in rising order, and the triangles by their places in these."""
+    """Return the vertices that triangles (T, 3) use, in ascending order, and the triangles with indices into them."""
     used, index = np.unique(triangles, return_inverse=True)
     return used, index.reshape(-1, 3)
 
@@ -420,5 +436,5 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def metres_along(outline: Array) -> Array:
-    """Metres along an outline (columns, 2) from its first point."""
+    """Return the distance along an outline (columns, 2) from its first point, metres."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1))])

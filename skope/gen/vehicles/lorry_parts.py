@@ -1,5 +1,4 @@
-"""Parts that lorries and trailers have in common: the space for cargo behind a cab, and what is built there; cargo
-bodies, axles, the underrun bar with its lamps."""
+"""Common parts of lorries and trailers: the cargo space and its bodies, axles, and the underrun bar."""
 
 from dataclasses import dataclass, field
 from typing import Final
@@ -16,12 +15,12 @@ from skope.gen.vehicles.wheels import steel_wheel
 from skope.types import Array
 
 BEACON_COLOR: Final = "#e8861a"
-"""Colour of beacons, and of what moves."""
+"""Colour of beacons and of moving parts."""
 
 
 @dataclass(frozen=True)
 class CargoSpace:
-    """The space behind a cab, from `end` to `ahead` (x), over the floor at `shape.box_height`."""
+    """Space behind a cab from `end` to `ahead` (x), above the floor at `shape.box_height`."""
 
     shape: Shape
     style: VehicleStyle
@@ -42,24 +41,24 @@ class CargoSpace:
         return self.shape.rear_axle_x
 
     def rng(self) -> np.random.Generator:
-        """Draws liveries and loads; it follows from the length, so that few are alike."""
+        """Random generator of liveries and loads; its seed follows from the length, so that few vehicles are equal."""
         return np.random.default_rng(int(self.shape.length * 1e4))
 
 
 @dataclass
 class Cargo:
-    """The left half of a cargo body, with its keypoints `roof_rear`, `rear_window_base` and `trunk_rear`."""
+    """Left half of a cargo body, with its keypoints `roof_rear`, `rear_window_base` and `trunk_rear`."""
 
     parts: list[Mesh] = field(default_factory=list)
     points: dict[str, Array] = field(default_factory=dict)
 
     def mark(self, roof_rear: Array, rear_window_base: Array, trunk_rear: Array) -> None:
-        """Note the keypoints (3,)."""
+        """Record the keypoints (3,)."""
         self.points = {"roof_rear": roof_rear, "rear_window_base": rear_window_base, "trunk_rear": trunk_rear}
 
 
 def mudguards(space: CargoSpace) -> list[Mesh]:
-    """Curved mudguards over the rear axles of a body that leaves them bare."""
+    """Return curved mudguards over the rear axles of a body that does not cover them."""
     s = space.shape
     y = (s.track / 2 - 1.6 * s.wheel_width, s.track / 2 + 0.6 * s.wheel_width)
     spread = 78.0 if not space.style.axles else 58.0
@@ -74,7 +73,7 @@ SIDE_RIBS = {
     "tipper": (7, 0.09),
     "container": (0, 0.0),
 }
-"""Number and width of the ribs along each kind of cargo body's side."""
+"""Number and width of the ribs along the side of each kind of cargo body."""
 _MARKER_STEP_M = 2.2
 """Distance between marker lamps along the sides, metres."""
 _OPEN_SIDES_M = {"flatbed": 0.5, "tipper": 1.25}
@@ -82,13 +81,13 @@ _OPEN_SIDES_M = {"flatbed": 0.5, "tipper": 1.25}
 
 
 def cargo_body(s: Shape, kind: str, ahead: float, *, ribs: int = 0) -> tuple[Mesh, Points]:
-    """The left half of a cargo body from `ahead` to the rear end of a shape, and its keypoints.
+    """Return the left half of a cargo body from `ahead` to the rear end of a shape, and its keypoints.
 
     Args:
-        s: Its floor is `box_height`, its roof `height`.
+        s: The shape. The body's floor is at `box_height`, its roof at `height`.
         kind: "box", "curtain", "container", "flatbed" or "tipper".
         ahead: x of its front.
-        ribs: Number of ribs along its side; 0 for as many as the kind has.
+        ribs: Number of ribs along its side; 0: the number of its kind.
     """
     end = -s.length / 2
     high = s.box_height + _OPEN_SIDES_M[kind] if kind in _OPEN_SIDES_M else s.height
@@ -137,7 +136,7 @@ def cargo_body(s: Shape, kind: str, ahead: float, *, ribs: int = 0) -> tuple[Mes
 
 
 def _draw_doors(shell: Surface, end: float, edge: float, low: float, top: float) -> None:
-    """The gap between two doors, their bolts and hinges."""
+    """Draw the gap between two doors, their bolts and hinges."""
     shell.line([(end, low), (end, top)], WRAP_AXES, width=0.016)
     for share in (0.28, 0.6):
         shell.draw(
@@ -151,7 +150,10 @@ def _draw_doors(shell: Surface, end: float, edge: float, low: float, top: float)
 
 
 def axle(s: Shape, x: float, *, wheel: bool, dual: bool) -> list[Mesh]:
-    """The left half of an axle at `x` with its guard, and with its outer wheel where that does not turn by itself."""
+    """Return the left half of an axle at `x` with its guard.
+
+    With `wheel` it has its outer wheel; with `dual` it has the inner wheel of twin tyres.
+    """
     y, radius = s.track / 2, s.wheel_radius
     tyre = steel_wheel(radius, s.wheel_width)
     out = [box((x - 0.06, 0.0, radius - 0.06), (x + 0.06, y - 0.1, radius + 0.06), "under")]
@@ -166,7 +168,7 @@ def axle(s: Shape, x: float, *, wheel: bool, dual: bool) -> list[Mesh]:
 
 
 def underrun_bar(s: Shape, style: VehicleStyle, points: Points) -> list[Mesh]:
-    """The left half of the bar under the rear end, with lamps and plate; notes its keypoints."""
+    """Return the left half of the bar under the rear end, with lamps and plate; record its keypoints."""
     end = -s.length / 2
     bar = Plan(s.width / 2 - 0.02, end + 0.16, end, 0.0, 0.0, 0.02, 0.02)
     tower = Tower(bar, s.taillight_low - 0.06, s.taillight_high + 0.05, edge=0.012, crown=0.0, stations=3)
@@ -177,7 +179,7 @@ def underrun_bar(s: Shape, style: VehicleStyle, points: Points) -> list[Mesh]:
 
 
 def side_guard(s: Shape, tank: float, behind: float, side: float) -> list[Mesh]:
-    """Rails at the left from `behind` up to what stands at x = `tank`, at y = `side`, and the posts that hold them."""
+    """Return rails on the left side with their posts, at y = `side`, from `behind` to the tank at x = `tank`."""
     low, high = s.clearance + 0.12, s.clearance + 0.42
     rails = [box((behind, side - 0.04, z), (tank - 0.1, side, z + 0.11), "rail") for z in (low, high)]
     posts = [

@@ -1,7 +1,8 @@
-"""Reads a 3D model whose 33 keypoints are marked by small spheres, as the SKoPe3D paper's first stage does.
+"""Read a 3D model with 33 keypoints marked by small spheres, as in the first stage of the SKoPe3D paper.
 
-A marker is an object named `kp_00` ... `kp_32` or `kp_<keypoint name>`; its centre is the keypoint. The wheel centres
-may be left unmarked: they are the wheels' own. Axes are told from the markers: front from rear, right from left.
+A marker is an object named `kp_00` ... `kp_32` or `kp_<keypoint name>`; its centre is the keypoint. Markers for the
+wheel centres are optional: the default is the wheels' own centres. The markers also define the axes: front and rear,
+right and left.
 """
 
 import re
@@ -27,9 +28,9 @@ class ModelFileLimits:
     """Limits of models in files."""
 
     lengths_m: tuple[float, float] = (2.0, 25.0)
-    """Range of a vehicle's length, metres: models beyond it are in another unit."""
+    """Minimum and maximum length of a vehicle, metres. Models outside this range use another unit."""
     color_steps: int = 16
-    """Levels that each channel of a model's colours is rounded to."""
+    """Number of levels to which each channel of a model's colours is rounded."""
 
 
 MODEL_FILES: Final = ModelFileLimits()
@@ -37,19 +38,19 @@ MODEL_FILES: Final = ModelFileLimits()
 _UNIT_METRES: Final = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
 _AXIS_VECTORS: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 LAMP_MATERIALS: Final = ("headlight", "taillight", "brake_light", "indicator_left", "indicator_right", "reverse_light")
-"""Materials that light up: a surface whose material has one of these names is such a lamp."""
+"""Materials that light up. A surface of a material with one of these names is that lamp."""
 
 
 @dataclass(frozen=True, eq=False)
 class Marked:
-    """A model in the vehicle frame."""
+    """Model in the vehicle frame."""
 
     mesh: Mesh
-    """The body; materials are colours such as "#a0b4c8", and `LAMP_MATERIALS`."""
+    """Body; its materials are colours such as "#a0b4c8", and `LAMP_MATERIALS`."""
     wheel: Mesh
-    """The front left wheel about its centre."""
+    """Front left wheel about its centre."""
     points: Array
-    """(33, 3)"""
+    """(33, 3) keypoints, metres."""
     wheel_radius: float
     wheel_width: float
     size_lwh: tuple[float, float, float]
@@ -74,9 +75,16 @@ def read_marked(
 ) -> Marked:
     """Read a model.
 
-    `wheels` names the objects of the corners front_right, front_left, rear_right and rear_left, when their names do not
-    say "wheel"; `up` and `forward` are axes such as "+y" that the markers are held against; `scale` is metres per unit.
-    Raises UserError, one line that names the file and what is wrong with it.
+    Args:
+        path: A .glb, .gltf or .obj file.
+        wheels: Names of the objects of the corners front_right, front_left, rear_right and rear_left. Needed if their
+            names do not contain "wheel".
+        up: Axis such as "+y" that the markers must agree with; None: no check.
+        forward: Axis such as "+x" that the markers must agree with; None: no check.
+        scale: Metres per unit.
+
+    Raises:
+        UserError: One line with the file and the error.
     """
     objects = _load_objects(path)
     marks = _read_marks(path, objects)
@@ -89,7 +97,7 @@ def read_marked(
     turned = [_Object(o.name, o.vertices @ T.T, o.triangles, o.materials) for o in solid]
     body = [o for o in turned if o.name not in corners.values()]
     if not body:
-        raise UserError(f"{path}: nothing is left besides markers and wheels")
+        raise UserError(f"{path}: contains only markers and wheels; expected a body, too")
     low, high = (f(o.vertices[:, :2] for o in body) for f in (_lowest, _highest))
     _check_length(path, float(high[0] - low[0]), scale)
     wheel = next(o for o in turned if o.name == corners["front_left"])
@@ -137,12 +145,12 @@ def _load_objects(path: Path) -> list[_Object]:
     if path.suffix.lower() not in (".glb", ".gltf", ".obj"):
         raise UserError(f"{path}: expected a .glb, .gltf or .obj file")
     try:
-        # OBJ files keep their objects only when they are not grouped by material.
+        # OBJ files keep their objects only if they are not grouped by material.
         options: dict[str, Any] = (
             {"split_objects": True, "group_material": False} if path.suffix.lower() == ".obj" else {}
         )
         scene: Any = trimesh.load_scene(path, **options)
-    except Exception as error:  # trimesh's readers raise whatever a damaged file makes them raise
+    except Exception as error:  # trimesh's readers raise various exceptions for damaged files
         raise UserError(f"{path}: not a readable model: {error}") from None
     out = []
     for node in scene.graph.nodes_geometry:
@@ -161,7 +169,11 @@ def _load_objects(path: Path) -> list[_Object]:
 
 
 def _face_materials(geometry: Any) -> NDArray[np.str_]:
-    """(T,) colours as "#a0b4c8"; or all one lamp, where the material has its name (a copy as "headlight.001")."""
+    """Return the material (T,) of each triangle.
+
+    It is a colour such as "#a0b4c8", or one lamp for all if the material has its name (also as a copy,
+    "headlight.001").
+    """
     name = str(getattr(getattr(geometry.visual, "material", None), "name", "")).partition(".")[0].lower()
     if name in LAMP_MATERIALS:
         return np.full(len(geometry.faces), name)
@@ -169,7 +181,7 @@ def _face_materials(geometry: Any) -> NDArray[np.str_]:
 
 
 def _face_colors(geometry: Any) -> NDArray[np.uint8]:
-    """(T, 3) what texture, material or vertices say of each triangle, rounded to a few levels."""
+    """Return the colour (T, 3) of each triangle from texture, material or vertices, rounded to a few levels."""
     visual, faces = geometry.visual, geometry.faces
     try:
         material, uv = getattr(visual, "material", None), getattr(visual, "uv", None)
@@ -191,7 +203,7 @@ def _face_colors(geometry: Any) -> NDArray[np.uint8]:
 
 
 def _colored_mesh(o: _Object, origin: Array) -> Mesh:
-    """A mesh about `origin` with a material for each colour and lamp."""
+    """Return a mesh about `origin` with a material per colour and lamp."""
     names, number = np.unique(o.materials, return_inverse=True)
     smooth = from_triangles(o.vertices - origin, o.triangles, "")
     return Mesh(smooth.vertices, smooth.normals, smooth.triangles, tuple(names.tolist()), number.astype(np.int64))
@@ -201,7 +213,7 @@ def _colored_mesh(o: _Object, origin: Array) -> Mesh:
 
 
 def _marked_keypoint(path: Path, name: str) -> int | None:
-    """The keypoint that an object of that name marks, if any; Blender's ".001" of a copy counts as the same."""
+    """Return the keypoint that an object of that name marks, or None. Blender's suffix ".001" of a copy is ignored."""
     match = re.fullmatch(r"kp_(\w+?)(?:\.\d+)?", name)
     if not match:
         return None
@@ -232,7 +244,7 @@ def _read_marks(path: Path, objects: list[_Object]) -> dict[int, Array]:
 
 
 def _to_vehicle(path: Path, marks: dict[int, Array], wheels: Array, up: str | None, forward: str | None) -> Array:
-    """(3, 3) the file's axes -> the vehicle frame's, by what the markers say."""
+    """Return the rotation (3, 3) from the file's axes to the vehicle frame, as defined by the markers."""
 
     def mean(*parts: str) -> Array:
         chosen = [marks[k] for k, name in enumerate(keypoints.NAMES) if k in marks and all(p in name for p in parts)]
@@ -246,7 +258,9 @@ def _to_vehicle(path: Path, marks: dict[int, Array], wheels: Array, up: str | No
     for name, direction in found.items():
         axis = int(np.abs(direction).argmax())
         if abs(direction[axis]) < 0.85 * np.linalg.norm(direction):
-            raise UserError(f"{path}: the markers' {name} lies along none of the file's axes: turn the model straight")
+            raise UserError(
+                f"{path}: the markers' {name} is not along an axis of the file: align the model with the axes"
+            )
         axes[name] = np.sign(direction[axis]) * np.eye(3)[axis]
     for name, said in (("up", up), ("forward", forward)):
         if said is not None and not np.array_equal(_parse_axis(f"--{name}", said), axes[name]):
@@ -287,7 +301,7 @@ def _wheel_objects(path: Path, objects: list[_Object], wheels: Mapping[str, str]
 
 
 def _wheel_corners(path: Path, at: dict[str, Array]) -> dict[str, str]:
-    """The objects of the four corners: the foremost and rearmost wheel of each side."""
+    """Return the objects of the four corners: the foremost and rearmost wheel of each side."""
     middle = np.mean([p[1] for p in at.values()])
     out = {}
     for side, chosen in (
@@ -307,7 +321,11 @@ def _check_length(path: Path, length: float, scale: float) -> None:
     guesses = [
         f"{unit}: --scale {metres}" for unit, metres in _UNIT_METRES.items() if 2.5 < length / scale * metres < 20
     ]
-    hint = f"; in {' or in '.join(guesses)}?" if guesses else f"; --scale {4.5 / (length / scale):.2g} makes it a car's"
+    hint = (
+        f"; in {' or in '.join(guesses)}?"
+        if guesses
+        else f"; --scale {4.5 / (length / scale):.2g} gives the length of a car"
+    )
     raise UserError(
         f"{path}: is {length:.4g} m long, expected {MODEL_FILES.lengths_m[0]:g} to {MODEL_FILES.lengths_m[1]:g}{hint}"
     )

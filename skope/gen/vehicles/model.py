@@ -1,5 +1,7 @@
-"""Interfaces and base of all vehicle models, wherever their surfaces come from; and what trilateration needs to know of
-a vehicle (keypoint separation), after the SKoPe3D paper's first stage."""
+"""Interfaces and base class of all vehicle models, and the data that trilateration needs.
+
+The keypoint separation follows the first stage of the SKoPe3D paper.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,10 +19,14 @@ from skope.types import Array
 
 
 def wheel_plane(wheels: Array) -> tuple[Array, Array, Array]:
-    """Best-fitting plane of the wheel centres: centre (..., 3), in-plane axes (..., 2, 3), upward normal (..., 3).
+    """Fit a plane to the wheel centres.
 
-    `wheels` is (..., 4, 3), front right, front left, rear right, rear left; the normal points along
-    (front - rear) x (left - right).
+    Args:
+        wheels: (..., 4, 3) front right, front left, rear right, rear left.
+
+    Returns:
+        Centre (..., 3), in-plane axes (..., 2, 3) and upward normal (..., 3). The normal points along (front - rear) x
+        (left - right).
     """
     center = wheels.mean(axis=-2)
     axes = np.linalg.svd(wheels - center[..., None, :])[2]
@@ -34,14 +40,14 @@ def wheel_plane(wheels: Array) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Sidecar:
-    """A vehicle's keypoints as seen from its wheels.
+    """Keypoints of a vehicle relative to its wheels.
 
-    Float64 and unrounded: near the wheel plane 0.1 mm of rounding becomes millimetres.
+    The values are unrounded float64: near the wheel plane, 0.1 mm of rounding becomes millimetres.
     """
 
     distances: Array
-    """(33, 4) metres from each keypoint to the wheel centres front right, front left, rear right, rear left; of an
-    articulated vehicle to those of the part before the hinge."""
+    """(33, 4) distance from each keypoint to the wheel centres front right, front left, rear right, rear left,
+    metres. For an articulated vehicle, the wheels are those of the part before the hinge."""
     side: Array
     """(33,) -1 below, 0 in, +1 above the plane of the wheel centres."""
 
@@ -51,9 +57,9 @@ class Sidecar:
 
     @classmethod
     def of(cls, points: ArrayLike, wheels: ArrayLike | None = None) -> Self:
-        """Separate keypoints (33, 3) of a vehicle at rest from its wheels (4, 3), in any frame.
+        """Return the separation of keypoints (33, 3) of a vehicle at rest from its wheels (4, 3), in any frame.
 
-        Default wheels: the keypoints that are wheels.
+        Default wheels: the keypoints of the wheels.
         """
         p = np.asarray(points, dtype=np.float64)
         wheels = p[list(keypoints.WHEELS)] if wheels is None else np.asarray(wheels, dtype=np.float64)
@@ -72,10 +78,10 @@ class Sidecar:
 
 @dataclass(frozen=True)
 class ModelParts:
-    """Parts and coarse forms of a vehicle's mesh."""
+    """Parts and simplified forms of a vehicle's mesh."""
 
     coarse_share: float = 0.25
-    """Share of its triangles, about, that a body far away is drawn with."""
+    """Approximate share of the triangles in the simplified mesh of a distant body."""
     trailer_part: int = 5
     """Index of a trailer's body among the parts of an articulated vehicle; its own two wheels follow."""
 
@@ -84,30 +90,30 @@ MODEL_PARTS: Final = ModelParts()
 
 
 ON_TRAILER: Final = np.array(["rear" in name or "taillight" in name for name in keypoints.NAMES])
-"""(33,) which keypoints of an articulated vehicle ride on its trailer: all of its rear, wheels too."""
+"""(33,) mask of the keypoints on the trailer of an articulated vehicle: all keypoints of its rear, with its wheels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trailer:
-    """The second part of an articulated vehicle, behind a hinge.
+    """Second part of an articulated vehicle, behind a hinge.
 
-    Its frame has its origin on the road under the hinge, x forward, y left, z up.
+    The origin of its frame is on the road under the hinge, x forward, y left, z up.
     """
 
     surfaces: Callable[[], tuple[Mesh, Mesh | None]]
-    """Builds `mesh` and `interior`, which takes time."""
+    """Function that builds `mesh` and `interior`, which takes time."""
     hinge: Array
-    """(3,) the hinge in the vehicle's frame, metres."""
+    """(3,) position of the hinge in the vehicle's frame, metres."""
     size_lwh: tuple[float, float, float]
     """Length, width, height of its body, metres."""
     front: float
-    """x of its front."""
+    """x of its front, metres."""
     axle: float
-    """From the hinge back to the middle of its axles, about which it turns, metres."""
+    """Distance from the hinge back to the middle of its axles, about which it turns, metres."""
     wheel_centers: Array
-    """(2, 3) wheels of the rearmost axle, right and left, metres."""
+    """(2, 3) centres of the wheels of the rearmost axle, right and left, metres."""
     bend: float
-    """Largest angle between it and the vehicle, radians."""
+    """Maximum angle between the trailer and the vehicle, radians."""
 
     @cached_property
     def _built(self) -> tuple[Mesh, Mesh | None]:
@@ -115,12 +121,12 @@ class Trailer:
 
     @property
     def mesh(self) -> Mesh:
-        """Its body, with all wheels but the outer ones of the rearmost axle."""
+        """Body with all wheels except the outer wheels of the rearmost axle."""
         return self._built[0]
 
     @property
     def interior(self) -> Mesh | None:
-        """Seats that are seen through its windows."""
+        """Seats that are visible through its windows, or None."""
         return self._built[1]
 
     @property
@@ -131,13 +137,13 @@ class Trailer:
 
     @cached_property
     def extent(self) -> Array:
-        """(2, 3) opposite corners of a box around it with its wheels."""
+        """(2, 3) opposite corners of a box around the trailer and its wheels."""
         points = np.concatenate([self.mesh.vertices, self.wheel_centers])
         return np.stack([points.min(axis=0) - 0.1, points.max(axis=0) + 0.1])
 
     @property
     def at_rest(self) -> Array:
-        """(3, 4, 4) poses of it and its two wheels in the frame of a vehicle that stands straight before it."""
+        """(3, 4, 4) poses of the trailer and its two wheels in the frame of a vehicle straight in front of it."""
         T = np.tile(np.eye(4), (3, 1, 1))
         T[:, :2, 3] += self.hinge[:2]
         T[1:, :3, 3] += self.wheel_centers
@@ -145,30 +151,36 @@ class Trailer:
 
 
 class Body(Protocol):
-    """The interface of what renderers draw: a body with four parts that move, and perhaps a trailer."""
+    """Interface of bodies for renderers: a body with four moving parts and an optional trailer."""
 
     def __hash__(self) -> int: ...
 
     @property
     def mesh(self) -> Mesh:
-        """The body without its moving parts, closed, with its glass opaque."""
+        """Closed body without its moving parts, with opaque glass."""
 
     @property
     def interior(self) -> Mesh | None:
-        """Seats, dashboard and driver, which are seen through the windows, inside `mesh`."""
+        """Seats, dashboard and driver, visible through the windows, inside `mesh`; None if there are none."""
 
     @property
     def parts(self) -> tuple[Mesh, ...]:
-        """Body, then four parts, each about its own origin: of vehicles the wheels front right, front left, rear right,
-        rear left. Then a trailer and its wheels rear right, rear left."""
+        """Body, then four moving parts, each about its own origin.
+
+        For vehicles, the moving parts are the wheels front right, front left, rear right, rear left. A trailer and its
+        wheels rear right, rear left follow.
+        """
 
     @property
     def trailer(self) -> Trailer | None:
-        """The trailer on an articulated vehicle's hinge; dimensions and extent are those of the vehicle before it."""
+        """Trailer on the hinge of an articulated vehicle.
+
+        Dimensions and extent are those of the vehicle in front of it.
+        """
 
     @property
     def coarse(self) -> tuple[Mesh, ...]:
-        """The parts with about the share `MODEL_PARTS.coarse_share` of their triangles, for pictures from afar."""
+        """Parts with approximately the share `MODEL_PARTS.coarse_share` of their triangles, for distant views."""
 
     @property
     def size_lwh(self) -> tuple[float, float, float]:
@@ -176,11 +188,11 @@ class Body(Protocol):
 
     @property
     def extent(self) -> Array:
-        """(2, 3) opposite corners of a box around all parts, however they move."""
+        """(2, 3) opposite corners of a box around all parts in all their positions."""
 
 
 class Vehicle(Body, Protocol):
-    """A vehicle model: dimensions, surfaces and keypoints in the vehicle frame."""
+    """Vehicle model: dimensions, surfaces and keypoints in the vehicle frame."""
 
     def __hash__(self) -> int: ...
 
@@ -192,22 +204,22 @@ class Vehicle(Body, Protocol):
 
     @property
     def size_class(self) -> str:
-        """The class of vehicles whose dimensions it should have; most have their type's."""
+        """Class of vehicles with the ranges for its dimensions; usually that of its type."""
 
     @property
     def shape(self) -> Dimensions: ...
 
     @property
     def mass(self) -> float:
-        """Kilograms, laden with a driver."""
+        """Mass with a driver, kilograms."""
 
     @property
     def substituted(self) -> tuple[str, ...]:
-        """Keypoints that stand for a part that this body lacks."""
+        """Keypoints that are placed at a substitute because this body lacks their part."""
 
     @property
     def wheel(self) -> Mesh:
-        """A left wheel about its centre; a right one is its mirror image."""
+        """Left wheel about its centre; a right wheel is its mirror image."""
 
     @property
     def points(self) -> Array:
@@ -218,17 +230,17 @@ class Vehicle(Body, Protocol):
 
     @property
     def wheel_face_offsets(self) -> Array:
-        """(4, 3) from each wheel's centre to the middle of its outer face, in the wheel's own frame."""
+        """(4, 3) vector from each wheel's centre to the middle of its outer face, in the wheel's own frame."""
 
 
 def simplified_parts(parts: Sequence[Mesh]) -> tuple[Mesh, ...]:
-    """Parts of a body for pictures from afar; those that are the same are simplified once."""
+    """Return simplified parts of a body for distant views; equal parts are simplified once."""
     coarse = {part: simplified(part, MODEL_PARTS.coarse_share) for part in dict.fromkeys(parts)}
     return tuple(coarse[part] for part in parts)
 
 
 class Derived:
-    """Base of vehicle models: the properties that follow from dimensions, surfaces and keypoints."""
+    """Base of vehicle models: properties that follow from dimensions, surfaces and keypoints."""
 
     @property
     def size_class(self: Vehicle) -> str:
@@ -268,13 +280,13 @@ class Derived:
 
 
 def straight_mesh(vehicle: Vehicle) -> Mesh:
-    """A vehicle's body, with its trailer straight behind it."""
+    """Return a vehicle's body, with its trailer straight behind it."""
     trailer = vehicle.trailer
     return merged([vehicle.mesh, trailer.mesh.moved([*trailer.hinge[:2], 0.0])]) if trailer else vehicle.mesh
 
 
 def straight_lwh(vehicle: Body) -> tuple[float, float, float]:
-    """Length, width without mirrors and height of a vehicle with its trailer straight behind it, metres."""
+    """Return length, width without mirrors and height of a vehicle with its trailer straight behind it, metres."""
     length, width, height = vehicle.size_lwh
     if vehicle.trailer is None:
         return length, width, height

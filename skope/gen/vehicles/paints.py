@@ -1,4 +1,4 @@
-"""The paints that vehicles have: private cars' colours and the liveries of taxis, vans, lorries and buses."""
+"""Paints of vehicles: the colours of private cars and the liveries of taxis, vans, lorries and buses."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ from skope.types import Array
 
 
 class Paint(NamedTuple):
-    """A vehicle's colours."""
+    """Colours of a vehicle."""
 
     share: float
     """Frequency of the paint, relative to the others of its palette."""
     rgb: tuple[int, int, int]
     """sRGB of the body."""
     livery: tuple[int, int, int]
-    """sRGB of parts in a second colour: a stripe, a box, the lower half."""
+    """sRGB of parts in a second colour, such as a stripe, a box or the lower half."""
     color: str
     """Name of the colour in annotations: one of `skope.schema.VEHICLE_COLORS`."""
     palette: str
@@ -53,7 +53,7 @@ class PaintColors:
     cream: tuple[int, int, int] = (222, 208, 168)
     """Cream (sRGB)."""
     named_distance: float = 30.0
-    """Distance in `_lab` from all named colours beyond which a colour is another one."""
+    """Distance in `_lab` from all named colours above which a colour is "other"."""
 
 
 PAINT_COLORS: Final = PaintColors()
@@ -155,28 +155,29 @@ ALL_PAINTS: Final[dict[str, Paint]] = dict(
         _livery("bus_orange", 1, "orange", (206, 98, 26), PAINT_COLORS.white),
     )
 )
-"""Paints by the name that recordings keep.
+"""Paints by the name that recordings store.
 
-Shares of private cars' colours are Axalta's Global Automotive Color Popularity Report of 2020 in whole per cent; it has
-brown with beige and yellow with gold, and its last two per cent, other colours, are green here. Those of the palette
-"shades" lie between what Britain had licensed in 2017 (DVLA: silver 21 per cent, black 20, blue 18, grey 13, white 11)
-and Germany's new registrations of 2024 (KBA: grey and silver 33, black 26, white 20, blue 9, red 5, green 3). Liveries
-have no such source: their shares say only that plain white leads.
+Shares of private cars' colours are from Axalta's Global Automotive Color Popularity Report of 2020, in whole per cent.
+The report combines brown with beige and yellow with gold. Its last two per cent, other colours, are green here. Shares
+of the palette "shades" are between two sources. The first is the vehicles licensed in Britain in 2017 (DVLA: silver 21
+per cent, black 20, blue 18, grey 13, white 11). The second is Germany's new registrations of 2024 (KBA: grey and silver
+33, black 26, white 20, blue 9, red 5, green 3). Liveries have no source; their shares only make plain white the most
+frequent.
 """
 
 
 UNPAINTED_COLORS: Final = {"orange": (206, 94, 24), "gold": (170, 140, 84), "purple": (84, 44, 104)}
-"""sRGB of the named colours that no paint has."""
+"""sRGB of the named colours without a paint."""
 
 
 def color_name(vehicle: Vehicle, paint: str) -> str:
-    """The colour of a vehicle in annotations: its paint's, or of an added model, which is never painted, its own."""
+    """Return the colour of a vehicle in annotations: that of its paint, or of an unpainted added model."""
     return _own_color(vehicle) if isinstance(vehicle, AddedVehicle) else ALL_PAINTS[paint].color
 
 
 @cache
 def _own_color(vehicle: AddedVehicle) -> str:
-    """The named colour that is nearest to the one that most of a model's surface has."""
+    """Return the named colour nearest to the colour of most of a model's surface."""
     mesh = vehicle.mesh
     a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
     areas = np.bincount(
@@ -192,20 +193,20 @@ def _own_color(vehicle: AddedVehicle) -> str:
 
 
 def _lab(rgbs: list[tuple[int, ...]]) -> Array:
-    """(N, 3) CIELAB of sRGB values, with half of the lightness: a dark and a light green have the same name."""
+    """Return CIELAB (N, 3) of sRGB values, with half the lightness, so that a dark and a light green share a name."""
     pixels = np.array([rgbs], dtype=np.float32) / 255
     return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2LAB)[0], dtype=np.float64) * (0.5, 1, 1)
 
 
 def palette(vehicle: Vehicle, *, shades: bool = False) -> list[str]:
-    """Names of the paints that a vehicle may have; with `shades`, private cars have several of each colour."""
+    """Return names of the paints for a vehicle; with `shades`, private cars have several paints per colour."""
     kind = vehicle.style.palette if isinstance(vehicle, ParametricVehicle) else "private"
     kind = "shades" if shades and kind == "private" else kind
     return [name for name, paint in ALL_PAINTS.items() if paint.palette == kind]
 
 
 def draw_paint(vehicle: Vehicle, rng: np.random.Generator, *, shades: bool = False) -> str:
-    """The name of a paint for a vehicle, by the shares of its palette."""
+    """Return the name of a random paint for a vehicle, by the shares of its palette."""
     names = palette(vehicle, shades=shades)
     shares = np.array([ALL_PAINTS[name].share for name in names])
     return names[rng.choice(len(names), p=shares / shares.sum())]

@@ -1,5 +1,7 @@
-"""What is drawn on shells: outlines of panels in metres along and up; stripes and adverts on cars; large graphics and
-marker lamps on the sides of heavy bodies."""
+"""Panels on shells, with outlines in metres along and up.
+
+They are stripes and adverts on cars, and large graphics and marker lamps on the sides of heavy bodies.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +23,7 @@ class PanelLimits:
     left_axis: tuple[float, float, float] = (0.0, 1.0, 0.0)
     """Normal of a vehicle's left side."""
     marked_from_m: float = 2.1
-    """Height from which a body has marker lamps, metres."""
+    """Minimum width of a body with marker lamps, metres."""
     plain_share: float = 0.2
     """Share of bodies without graphics."""
 
@@ -33,7 +35,7 @@ Points = dict[str, Array]
 
 
 def quad(a: float, b: float, low: tuple[float, float], high: tuple[float, float]) -> Array:
-    """Outline of a panel from `a` to `b` along the shell, with its lower and upper edge at either end, metres."""
+    """Return the outline of a panel from `a` to `b` along the shell; `low` and `high` are its ends' edges, metres."""
     return np.array([(a, low[0]), (b, low[1]), (b, high[1]), (a, high[0])])
 
 
@@ -47,7 +49,7 @@ def draw_on_left(shell: Surface, rectangle: tuple[float, float, float, float], m
 
 
 def within(outline: Array, start: float, end: float, low: float = 0.0, high: float = 1.0) -> Array:
-    """Part of a quad by shares across and up."""
+    """Return the part of a quad between shares across and up."""
     bottom, top = outline[[0, 1]], outline[[3, 2]]
 
     def at(u: float, v: float) -> Array:
@@ -62,13 +64,13 @@ def disc(center: ArrayLike, radius: float, sides: int = 10) -> Array:
 
 
 def grown(outline: Array, edge: float) -> Array:
-    """A polygon whose corners are pushed away from its middle, along and up."""
+    """Return a polygon with its corners moved away from its middle by `edge`, along and up."""
     middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
     return np.asarray(outline + np.sign(np.round(outline - middle, 6)) * edge)
 
 
 def rounded(polygon: ArrayLike, radius: float) -> Array:
-    """A convex polygon with its corners cut off, near a fillet."""
+    """Return a convex polygon with its corners cut off, close to a fillet."""
     p = np.asarray(polygon, dtype=np.float64)
     out = []
     for before, corner, after in zip(np.roll(p, 1, axis=0), p, np.roll(p, -1, axis=0), strict=True):
@@ -79,13 +81,13 @@ def rounded(polygon: ArrayLike, radius: float) -> Array:
 
 
 def mirrored(side: Sequence[tuple[float, float]]) -> Array:
-    """The whole of an outline that is symmetric about the shell's middle, from its half from below upwards."""
+    """Return a symmetric outline from its half, which runs from the bottom upwards."""
     half = np.array(side)
     return np.vstack([half, half[::-1] * [-1, 1]])
 
 
 def plate_height(wanted: float) -> float:
-    """The height nearest to a wanted one at which a plate may hang, metres."""
+    """Return the possible height of a plate that is nearest to a wanted height, metres."""
     return round(wanted / PART_SIZES.plate_step_m) * PART_SIZES.plate_step_m
 
 
@@ -93,7 +95,10 @@ _DECAL_COLORS: Final = ("#cc2222", "#224488", "#228844", "#ee8822", "#eeeeee", "
 
 
 def draw_decal(shell: Surface, s: Shape, style: VehicleStyle) -> None:
-    """Draw a vehicle's stickers between its axles; their colour follows from its length, so that few are alike."""
+    """Draw a vehicle's stickers between its axles.
+
+    Their colour follows from its length, so that few vehicles are equal.
+    """
     if not style.decal:
         return
     color = _DECAL_COLORS[int(s.length * 1e4) % len(_DECAL_COLORS)]
@@ -120,7 +125,7 @@ def draw_decal(shell: Surface, s: Shape, style: VehicleStyle) -> None:
 
 
 def _draw_checks(shell: Surface, s: Shape) -> None:
-    """Two rows of checks along the sides, as ambulances and other emergency vehicles have them."""
+    """Draw two rows of checks along the sides, as on ambulances and other emergency vehicles."""
     size, top = 0.3, s.belt_height - 0.1
     tone = ("#d8c41c", "#d8631c", "#1b52a8")[int(s.length * 1e4) % 3]
     second = "#1d8a3c" if tone == "#d8c41c" else "#e8e8e6"
@@ -136,7 +141,7 @@ def _draw_checks(shell: Surface, s: Shape) -> None:
 def draw_letters(
     shell: Surface, along: tuple[float, float], up: tuple[float, float], color: str, seed: int, layer: float = 0.9
 ) -> None:
-    """Two lines of blocks as wide as words look from afar."""
+    """Draw two lines of blocks with the widths of words in a distant view."""
     rng = np.random.default_rng(seed)
     (start, end), (low, high) = along, up
     middle = low + 0.4 * (high - low)
@@ -157,14 +162,17 @@ MARKER_MATERIAL: Final = "marker_amber"
 """Material of marker lamps along the sides, which burn with the headlights."""
 FRONT_MARKER: Final = "marker_white"
 REAR_MARKER: Final = "marker_red"
-"""Materials of the marker lamps at the upper edges of vehicles wider than `PANEL_LIMITS.marked_from_m`, after UNECE
+"""Materials of the marker lamps at the upper edges of vehicles wider than `PANEL_LIMITS.marked_from_m`, from UNECE
 R48."""
 
 
 def draw_graphics(
     shell: Surface, along: tuple[float, float], up: tuple[float, float], rng: np.random.Generator
 ) -> None:
-    """Draw graphics on the side of a shell between two x, rear and front, and two heights; some stay plain."""
+    """Draw random graphics on the side of a shell between rear and front and between two heights.
+
+    Some sides stay plain.
+    """
     if rng.uniform() < PANEL_LIMITS.plain_share:
         return
     rear, front = along
@@ -205,13 +213,13 @@ def draw_graphics(
 
 
 def draw_upper_markers(shell: Surface, half: float, z: float, end: float | None = None) -> None:
-    """Draw marker lamps on the upper corners of a shell: white ahead and, where `end` is given, red behind.
+    """Draw marker lamps on the upper corners of a shell: white at the front and, if `end` is given, red at the rear.
 
     Args:
-        shell: The shell, half as wide as `half`.
-        half: Half of its width, metres.
+        shell: The shell.
+        half: Half of the shell's width, metres.
         z: Height of the lamps' lower edge, metres.
-        end: W of the middle of its rear.
+        end: W of the middle of its rear; None: no rear lamps.
     """
     shell.draw(rectangle_outline(half - 0.24, half - 0.12, z, z + 0.05), WRAP_AXES, FRONT_MARKER, layer=3)
     if end is not None:

@@ -1,4 +1,4 @@
-"""Small parts that stand out from a body's left side: mirrors, handles, rails, plates, exhausts, arch lips."""
+"""Small parts that project from a body's left side: mirrors, handles, rails, plates, exhausts, arch lips."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,18 +17,18 @@ class PartSizes:
     """Sizes of number plates and roof signs."""
 
     plate_step_m: float = 0.125
-    """Plates hang at multiples of this height above the road, metres: by it the renderer tells their rows of text."""
+    """Step of the heights of plates above the road, metres. The renderer derives the rows of a plate's text from it."""
     plate_m: tuple[float, float] = (0.26, 0.11)
     """Half of a plate's width, and its height, metres."""
     sign_height_m: float = 0.12
-    """Height of a taxi's sign over the roof, metres."""
+    """Height of a taxi's sign above the roof, metres."""
 
 
 PART_SIZES: Final = PartSizes()
 
 
 def block(low: ArrayLike, high: ArrayLike, material: str, bevel: float) -> Mesh:
-    """A box with rounded vertical and horizontal edges: a superellipsoid's coarse cousin."""
+    """Return a box with rounded vertical and horizontal edges, similar to a coarse superellipsoid."""
     a, b = np.asarray(low, float), np.asarray(high, float)
     center, half = (a + b) / 2, (b - a) / 2
     share = np.minimum(bevel / half, 0.99)
@@ -37,24 +37,27 @@ def block(low: ArrayLike, high: ArrayLike, material: str, bevel: float) -> Mesh:
     c, s = np.cos(turn)[None], np.sin(turn)[None]
     flat, up = np.cos(rise)[:, None], np.sin(rise)[:, None]
     unit = np.stack(np.broadcast_arrays(flat * c, flat * s, up), axis=-1)
-    # Corners of a sphere's octants, pushed apart: flat faces lie between.
+    # Corners of a sphere's octants, moved apart with flat faces between them.
     points = center + np.sign(np.round(unit, 9)) * half * (1 - share) + unit * half * share
     return grid(points, [[material] * 8] * 4)
 
 
 def _mirror_shell(center: Array, sections: Array, material: str) -> Mesh:
-    """A closed shell along y, flat behind: `sections` (N, 4) are y, half height, reach ahead and behind `center`."""
+    """Return a closed shell along y with a flat rear.
+
+    `sections` (N, 4) are y, half height, reach ahead and behind `center`.
+    """
     turn = np.linspace(0, 2 * np.pi, 9) + np.pi / 8
-    # A squared-off ring: flatter above, below and behind than a circle.
+    # A nearly square ring: flatter at the top, bottom and rear than a circle.
     c, s = (np.sign(f(turn)) * np.abs(f(turn)) ** 0.7 for f in (np.cos, np.sin))
     y, high, ahead, behind = sections.T[..., None]
     points = np.stack(np.broadcast_arrays(np.where(c > 0, ahead * c, -behind), y, high * s), axis=-1)
-    # From tip to root, so that the ring's turn faces outward.
+    # From tip to root, so that the ring's faces point outwards.
     return grid(center + points[::-1], [[material] * 8] * (len(sections) - 1))
 
 
 def mirror(root: tuple[float, float, float], tall: bool, material: str = "paint") -> tuple[Mesh, Array]:
-    """A door mirror whose foot stands at `root` on the body's side, and its outer tip."""
+    """Return a door mirror with its foot at `root` on the body's side, and its outer tip."""
     x, y, z = root
     high, reach = (0.17, 0.17) if tall else (0.075, 0.205)
     near = 0.05
@@ -84,7 +87,7 @@ def mirror(root: tuple[float, float, float], tall: bool, material: str = "paint"
 
 
 def _mirror_foot(root: tuple[float, float, float], reach: float, top: float) -> Mesh:
-    """A flat arm from the body to a mirror, wider at its root."""
+    """Return a flat arm from the body to a mirror, wider at its root."""
     x, y, z = root
     low = np.array([(x + 0.045, y - 0.05), (x - 0.07, y - 0.05), (x - 0.05, y + reach), (x + 0.01, y + reach)])
     inner, outer = z - 0.012, top - 0.035
@@ -99,7 +102,7 @@ def _mirror_foot(root: tuple[float, float, float], reach: float, top: float) -> 
 
 
 def _turned_to_face(mesh: Mesh, direction: tuple[float, float, float]) -> Mesh:
-    """A flat mesh, turned to face a direction."""
+    """Return a flat mesh, turned to face a direction."""
     return mesh if (mesh.normals @ np.array(direction)).mean() > 0 else _flipped(mesh)
 
 
@@ -108,7 +111,7 @@ def _flipped(mesh: Mesh) -> Mesh:
 
 
 def handle(at: tuple[float, float, float], material: str = "paint") -> Mesh:
-    """A door handle: a bowed bar."""
+    """Return a door handle: a curved bar."""
     x, y, z = at
     along = np.array([-0.105, -0.075, 0.075, 0.105])
     out = np.array([-0.012, 0.024, 0.024, -0.012])
@@ -119,7 +122,7 @@ def handle(at: tuple[float, float, float], material: str = "paint") -> Mesh:
 
 
 def rail(path: Array) -> Mesh:
-    """A roof rail along points (N, 3) that bends down to the roof at its ends."""
+    """Return a roof rail along points (N, 3) that bends down to the roof at its ends."""
     high = path + np.array([0, 0, 0.05])
     low = path + np.array([0, 0, 0.024])
     ends = path[[0, -1]] + [[-0.09, 0, -0.03], [0.09, 0, -0.03]]
@@ -133,7 +136,7 @@ def rail(path: Array) -> Mesh:
 
 
 def spoiler(rear: float, top: float, half_width: float, material: str = "paint") -> Mesh:
-    """A lip over the rear window that carries the roof on, from the middle to `half_width`."""
+    """Return a lip above the rear window that extends the roof, from the middle to `half_width`."""
     section = np.array([(0.2, -0.004), (-0.04, 0.004), (-0.05, -0.012), (0.1, -0.07)])
     y = np.array([0.0, half_width - 0.12, half_width])
     drop = np.array([0.0, -0.008, -0.05])
@@ -150,7 +153,7 @@ def spoiler(rear: float, top: float, half_width: float, material: str = "paint")
 
 
 def _turned_outward(mesh: Mesh, center: Array) -> Mesh:
-    """The mesh with all its triangles turned away from `center`."""
+    """Return the mesh with all its triangles facing away from `center`."""
     v = mesh.vertices[mesh.triangles]
     normal = cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])
     wrong = ((v.mean(axis=1) - center)[:, [0, 2]] * normal[:, [0, 2]]).sum(axis=1) < 0
@@ -159,7 +162,7 @@ def _turned_outward(mesh: Mesh, center: Array) -> Mesh:
 
 
 def deflector(front: float, rear: float, half_width: float, z: float, high: float) -> Mesh:
-    """The left half of a wind deflector on a cab's roof at `z`, from `front` up to `high` over it at `rear`."""
+    """Return the left half of a wind deflector on a cab's roof at `z`, from `front` up to `high` above it at `rear`."""
     x = np.array([front, front - 0.35 * (front - rear), rear])
     up = np.array([-0.02, 0.62 * high, 0.94 * high])
     top = np.stack([np.column_stack([x, np.full(3, y), z + up]) for y in (0.0, half_width - 0.06)])
@@ -174,7 +177,7 @@ def deflector(front: float, rear: float, half_width: float, z: float, high: floa
 
 
 def roof_sign(x: float, z: float, material: str = "sign") -> Mesh:
-    """The left half of a lit sign across the roof, of a taxi or a delivery car."""
+    """Return the left half of a lit sign across the roof of a taxi or a delivery car."""
     low = np.array([(x + 0.075, 0.0, z), (x + 0.075, 0.26, z), (x - 0.075, 0.26, z), (x - 0.075, 0.0, z)])
     top = z + PART_SIZES.sign_height_m
     high = np.array([(x + 0.045, 0.0, top), (x + 0.045, 0.21, top), (x - 0.045, 0.21, top), (x - 0.045, 0.0, top)])
@@ -184,7 +187,10 @@ def roof_sign(x: float, z: float, material: str = "sign") -> Mesh:
 
 
 def plate(x: float, z: float, tilt: float, sign: float, material: str = "plate") -> Mesh:
-    """The left half of a number plate, its face at `x` at its lower edge, leaning back by `tilt` at the upper one."""
+    """Return the left half of a number plate with its lower edge at `x`.
+
+    `tilt` is the backward lean of its upper edge.
+    """
     half, high = PART_SIZES.plate_m
     face = np.array([(x, 0, z), (x, half, z), (x - sign * tilt, half, z + high), (x - sign * tilt, 0, z + high)])
     rim = face + np.array([(0, 0, -0.012), (0, 0.012, -0.012), (0, 0.012, 0.012), (0, 0, 0.012)]) - [sign * 0.004, 0, 0]
@@ -195,7 +201,7 @@ def plate(x: float, z: float, tilt: float, sign: float, material: str = "plate")
 
 
 def badge(at: Array, radius: float, sign: float, material: str = "chrome") -> Mesh:
-    """The left half of a round badge on the middle of the front (`sign` 1) or the rear (-1)."""
+    """Return the left half of a round badge on the middle of the front (`sign` 1) or the rear (-1)."""
     turn = np.linspace(-np.pi / 2, np.pi / 2, 8)
     ring = at + np.column_stack([0 * turn + sign * 0.009, radius * np.cos(turn), radius * np.sin(turn)])
     back = ring - [sign * 0.02, 0, 0]
@@ -205,7 +211,7 @@ def badge(at: Array, radius: float, sign: float, material: str = "chrome") -> Me
 
 
 def exhaust(x: float, y: float, z: float, radius: float = 0.036) -> Mesh:
-    """A tail pipe that ends at `x`."""
+    """Return a tail pipe that ends at `x`."""
     pipe = lathe([(-0.16, radius * 0.9), (0.0, radius), (-0.002, radius * 0.8)], ["chrome"] * 2, 8, "z")
     hole = lathe([(-0.05, radius * 0.82), (-0.05, 0.0)], ["gap"], 8, "z")
     mesh = merged([pipe, hole])
@@ -225,7 +231,10 @@ def exhaust(x: float, y: float, z: float, radius: float = 0.036) -> Mesh:
 def arch_lip(
     edges: Array, center: tuple[float, float], material: str, side: Callable[[Array], float], width: float = 0.034
 ) -> Mesh:
-    """A rolled lip along a wheel arch's edges (N, 2, 3) around the axle at x, z; `side` is y of the body at x, z."""
+    """Return a rolled lip along a wheel arch's edges (N, 2, 3) around the axle at x, z.
+
+    `side` is y of the body at x, z.
+    """
     chain = _ordered_along_arch(edges.reshape(-1, 3), center)
     axle = np.array([center[0], 0.0, center[1]])
     outward = (chain - axle) * [1, 0, 1]
@@ -234,14 +243,14 @@ def arch_lip(
     outer = chain + width * outward
     outer[:, 1] = [side(place) - 0.004 for place in outer[:, [0, 2]]]
     crest = chain + 0.012 * outward + [0, 0.012, 0]
-    # Chords of the arch: a little nearer to the wheel than the edge that they hide.
+    # Chords of the arch: slightly nearer to the wheel than the edge that they hide.
     inner = chain - 0.005 * outward + [0, -0.05, 0]
-    # From behind the wheel around it to ahead of it, and inwards.
+    # From behind the wheel around it to the front, and inwards.
     return grid(np.stack([outer, crest, inner])[:, ::-1], [[material] * (len(chain) - 1)] * 2)
 
 
 def _ordered_along_arch(points: Array, center: tuple[float, float], count: int = 12) -> Array:
-    """Some of the points of an arch, in order from ahead of the wheel to behind it."""
+    """Return `count` points of an arch, in order from ahead of the wheel to behind it."""
     x, z = points[:, 0] - center[0], points[:, 2] - center[1]
     radius = np.abs(x).max()
     turn = np.where(z > 0, np.arctan2(z, x), np.where(x > 0, z / radius, np.pi - z / radius))
@@ -260,9 +269,9 @@ def arm_mirror(
     upright: bool = True,
     sunk: float = 0.06,
 ) -> tuple[Mesh, Array]:
-    """A mirror `high` whose arms stand at `root` on the body's side, and its outer tip.
+    """Return a mirror on arms, `high` metres tall, with its root at `root` on the body's side, and its outer tip.
 
-    Its arms lie level on an `upright` side, else both stand at its foot; they begin `sunk` inside of it.
+    The arms are level on an `upright` side, else both start at its foot; they begin `sunk` metres inside it.
     """
     x, y, z = root
     inner, outer = y + reach - 0.2, y + reach

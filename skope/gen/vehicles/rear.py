@@ -1,5 +1,7 @@
-"""The rears of vehicles: plate in its recess, bumper, reflectors, exhausts; tail lamps of red glass with brake light,
-indicator and reversing light in it."""
+"""Rears of vehicles: plate in its recess, bumper, reflectors, exhausts, and tail lamps.
+
+Tail lamps are of red glass with brake light, indicator and reversing light in it.
+"""
 
 from dataclasses import dataclass
 from typing import Final
@@ -19,7 +21,7 @@ class RearSizes:
     """Sizes of parts of a rear."""
 
     beyond_rear_m: float = 99.0
-    """Farther along a shell than the middle of its rear, metres."""
+    """Distance along a shell beyond the middle of its rear, metres."""
     rim_m: float = 0.009
     """Width of the dark rim around a tail lamp, metres."""
 
@@ -84,19 +86,19 @@ LAMP_PANES: Final = {
         "reverse_light": (0.58, 0.96, 0.06, 0.46),
     },
 }
-"""The part of a lamp that shines: shares across from and to, up from and to."""
+"""Luminous parts of each kind of lamp: shares across from and to, up from and to."""
 LAMP_SLANTS: Final = {"wide": 0.035, "band": 0.02, "hook": 0.03, "slim": 0.015}
 LENS_MATERIALS: Final = {"clear": "lamp_clear", "bar": "lamp_dark"}
-"""The material around the panes. Default: red glass."""
+"""Material around the panes by kind of lamp. Default: red glass."""
 
 
 def draw_taillight(
     shell: Surface, kind: str, along: tuple[float, float], up: tuple[float, float], points: Points
 ) -> None:
-    """Draw a tail lamp on a shell and note its keypoints.
+    """Draw a tail lamp on a shell and record its keypoints.
 
     Args:
-        shell: What it is drawn on.
+        shell: The shell to draw on.
         kind: One of `VehicleStyle.taillight`.
         along: Outer and inner end, metres along the shell.
         up: From and to, metres above the road.
@@ -109,7 +111,7 @@ def draw_taillight(
 
 
 def _taillight_outline(kind: str, along: tuple[float, float], up: tuple[float, float]) -> Array:
-    """The lamp's corners, from its outer lower one around, metres."""
+    """Return the lamp's corners, from its outer lower corner around, metres."""
     (outer, inner), (low, high) = along, up
     tall = high - low
     if kind == "bar":
@@ -162,7 +164,7 @@ def _draw_panes(shell: Surface, kind: str, lamp: Array) -> None:
 
 
 def draw_rear(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: Points) -> list[Mesh]:
-    """Draw a rear on a shell and note its keypoints; returns what stands out from it."""
+    """Draw a rear on a shell and record its keypoints; return the parts that project from it."""
     end, last = float(w[-1]), len(w) - 1
     inner, outer = end - s.taillight_inner, float(w[last - SIDE_START + 3]) - s.taillight_wrap
     low, high = s.taillight_low, s.taillight_high
@@ -205,7 +207,7 @@ def _draw_plate(shell: Surface, end: float, plate: float, material: str) -> None
 
 
 def _draw_bumper(shell: Surface, s: Shape, style: VehicleStyle, corner: float, end: float) -> list[Mesh]:
-    """Reflectors, the trim between the pipes, and the pipes."""
+    """Draw reflectors and the trim between the exhaust pipes; return the pipes."""
     low = s.clearance
     shell.draw(rectangle_outline(corner - 0.06, corner + 0.12, low + 0.2, low + 0.235), WRAP_AXES, "gap")
     shell.draw(

@@ -17,7 +17,7 @@ class Dimensions:
     """Width without mirrors."""
     height: float
     wheelbase: float
-    """Foremost to rearmost axle."""
+    """Distance from the foremost to the rearmost axle."""
     track: float
     wheel_radius: float
     wheel_width: float
@@ -33,7 +33,7 @@ class Dimensions:
         return self.front_axle_x - self.wheelbase
 
     def wheel_centers(self) -> Array:
-        """(4, 3) front right, front left, rear right, rear left, as keypoints 16-19."""
+        """(4, 3) wheel centres front right, front left, rear right, rear left, as keypoints 16-19."""
         return np.array(
             [
                 [x, y, self.wheel_radius]
@@ -48,9 +48,9 @@ class Dimensions:
 
 @dataclass(frozen=True, kw_only=True)
 class Details:
-    """Parts of `skope.gen.vehicles.jittered_parts.ALL_DETAILS` that a vehicle has in place of its model's.
+    """Parts of `skope.gen.vehicles.jittered_parts.ALL_DETAILS` that replace those of a vehicle's model.
 
-    Each is the option's number, 0 for the model's own.
+    Each value is the number of an option, 0 for the model's own part.
     """
 
     seams: float = 0.0
@@ -79,73 +79,76 @@ class Details:
     spoiler: float = 0.0
     spokes: float = 0.0
     dirt: float = 0.0
-    """Not an option's number: how dirty its lower half is, 0 to 1."""
+    """Dirt on the lower half, 0 to 1; not the number of an option."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrailerDimensions:
-    """Dimensions of what is hitched to an articulated vehicle, metres; all are 0 where nothing is."""
+    """Dimensions of the trailer of an articulated vehicle, metres; all are 0 without a trailer."""
 
     hinge_setback: float = 0.0
-    """Hinge behind the front axle."""
+    """Distance of the hinge behind the front axle."""
     hinge_gap: float = 0.0
-    """Rear end of a bus's front half ahead of the hinge."""
+    """Distance of the rear end of a bus's front half ahead of the hinge."""
     hinge_height: float = 0.0
-    """Hinge above the road."""
+    """Height of the hinge above the road."""
     trailer_front: float = 0.0
-    """Front of the trailer's body ahead of the hinge; negative where a drawbar is between them."""
+    """Distance of the trailer's front ahead of the hinge; negative with a drawbar between them."""
     trailer_length: float = 0.0
     """Length of the trailer's body."""
     trailer_height: float = 0.0
     trailer_floor: float = 0.0
-    """Floor of the trailer above the road."""
+    """Height of the trailer's floor above the road."""
     trailer_axle: float = 0.0
-    """Hinge to the trailer's rearmost axle."""
+    """Distance from the hinge to the trailer's rearmost axle."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoseDimensions:
-    """Dimensions of a lorry's long nose, metres; 0 where the cab stands over the engine."""
+    """Dimensions of a lorry's long nose, metres; 0 if the cab is above the engine."""
 
     hood_length: float = 0.0
-    """The cab's front behind the vehicle's."""
+    """Distance of the cab's front behind the vehicle's front."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shape(Details, NoseDimensions, TrailerDimensions, Dimensions):
-    """A point in the shape space: heights above the road, positions along the vehicle from its own parts, so that a
-    shape stays whole when it is stretched."""
+    """Point in the shape space.
+
+    Heights are above the road. Positions along the vehicle are relative to its own parts, so that a scaled shape stays
+    consistent.
+    """
 
     bumper_height: float
-    """Top of the dark lower trim."""
+    """Height of the top of the dark lower trim."""
     headlight_low: float
     headlight_high: float
     headlight_inner: float
-    """Width from the middle to the lamp's inner end."""
+    """Distance from the middle to the lamp's inner end."""
     headlight_wrap: float
-    """Reach of the lamp around the corner."""
+    """Length of the lamp around the corner."""
     taillight_low: float
     taillight_high: float
     taillight_inner: float
     taillight_wrap: float
     hood_height: float
-    """Edge of the hood at the front."""
+    """Height of the hood's front edge."""
     cowl_height: float
-    """Edge of the hood at the windscreen."""
+    """Height of the hood's edge at the windscreen."""
     belt_height: float
-    """Shoulder under the side windows."""
+    """Height of the shoulder under the side windows."""
     deck_height: float
-    """Trailing edge of trunk, tailgate or bed."""
+    """Height of the trailing edge of trunk, tailgate or bed."""
     cowl_setback: float
-    """Windscreen's base behind the front axle."""
+    """Distance of the windscreen's base behind the front axle."""
     screen_run: float
-    """Windscreen's length along the vehicle."""
+    """Length of the windscreen along the vehicle."""
     backlight_run: float
-    """Rear window's length along the vehicle."""
+    """Length of the rear window along the vehicle."""
     deck_length: float
-    """Rear end to the rear window's base."""
+    """Distance from the rear end to the rear window's base."""
     roof_inset: float
-    """Lean of the side windows inwards."""
+    """Inward lean of the side windows."""
     shoulder_inset: float
     """Distance of the side windows inside the body's side."""
     nose_round: float
@@ -155,31 +158,34 @@ class Shape(Details, NoseDimensions, TrailerDimensions, Dimensions):
     """Distance of the hood's edge behind the bumper."""
     tail_lean: float
     roof_droop: float
-    """Distance by which the roof is lower at its ends."""
+    """Difference between the roof's height in the middle and at its ends."""
     pillar: float
-    """The B-pillar's place, as a share of the side windows from the front."""
+    """Position of the B-pillar, as a share of the side windows from the front."""
     cab_length: float = 0.0
-    """A truck's cab, front to back."""
+    """Length of a truck's cab."""
     box_height: float = 0.0
-    """A truck's floor above the road."""
+    """Height of a truck's floor above the road."""
 
     def to_dict(self) -> dict[str, float]:
-        """All parameters by name, without details that are the model's own, a trailer or a nose that are not there."""
+        """Return all parameters by name.
+
+        Details with the model's own value and the dimensions of a missing trailer or nose are left out.
+        """
         return {name: value for name, value in super().to_dict().items() if value or name not in _LEFT_OUT}
 
     @property
     def hinge_x(self) -> float:
-        """The hinge's place along the vehicle."""
+        """x of the hinge."""
         return self.front_axle_x - self.hinge_setback
 
     @property
     def cowl_x(self) -> float:
-        """The windscreen's base in the middle."""
+        """x of the windscreen's base in the middle."""
         return self.front_axle_x - self.cowl_setback
 
     @property
     def backlight_x(self) -> float:
-        """The rear window's base in the middle."""
+        """x of the rear window's base in the middle."""
         return -self.length / 2 + self.deck_length
 
 
@@ -189,92 +195,92 @@ _LEFT_OUT: Final = DETAIL_NAMES | {f.name for kind in (TrailerDimensions, NoseDi
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleStyle:
-    """Style of a vehicle beside its dimensions: its model's, but for what its details replace."""
+    """Style of a vehicle's parts: its model's style, with the changes of its details."""
 
     family: str = "car"
-    """"car", "truck" or "bus": which builder makes it."""
+    """Builder of the vehicle: "car", "truck" or "bus"."""
     grille: str = "wide"
-    """"wide", "shield", "slim", "split", "hexagon", "oval", "bar", "blocks" or "closed"; of vehicles with details of
-    their own also "frame", "kidneys", "tall", "double", "panel", "strip" or "none"."""
+    """Grille: "wide", "shield", "slim", "split", "hexagon", "oval", "bar", "blocks" or "closed"; for jittered
+    vehicles also "frame", "kidneys", "tall", "double", "panel", "strip" or "none"."""
     grille_frame: str = ""
-    """Material of the grille's frame. Default: chrome or trim, as `chrome` says."""
+    """Material of the grille's frame. Default: chrome or trim, depending on `chrome`."""
     intake: str = "wide"
     """Air intake in the front bumper: "wide", "triple", "deep", "slot", "skid", "plain", "corners" or
     "mouth"."""
     headlight: str = "swept"
-    """"swept", "hook", "slim", "drop", "box", "twin", "round", "ring", "narrow", "blade", "tall", "pixel" or
-    "split"."""
+    """Headlight: "swept", "hook", "slim", "drop", "box", "twin", "round", "ring", "narrow", "blade", "tall", "pixel"
+    or "split"."""
     taillight: str = "wide"
-    """"wide", "tall", "band", "hook", "round", "bar", "column", "slim", "rings", "blade", "clear" or "block"; of cars
-    also "pillar" for a column beside the rear window."""
+    """Tail lamp: "wide", "tall", "band", "hook", "round", "bar", "column", "slim", "rings", "blade", "clear" or
+    "block"; for cars also "pillar" for a column beside the rear window."""
     exhausts: str = ""
     """Exhausts between the rear bumper's corners: "pipes", "blend", "fins", "middle", or none."""
     chrome: bool = False
-    """Bright frames around grille and side panes, bright door handles."""
+    """Whether grille and side panes have bright frames, and doors bright handles."""
     soft: bool = False
-    """No shoulder line along the sides."""
+    """Whether the sides have no shoulder line."""
     dome: float = 0.014
-    """Rise of the hood between its creases, metres."""
+    """Height of the hood's dome between its creases, metres."""
     spoiler: bool = False
-    """A lip over the rear window."""
+    """Whether there is a lip above the rear window."""
     palette: str = "private"
-    """Name of the group of `ALL_PAINTS` that the model comes in."""
+    """Name of the group of `ALL_PAINTS` for the model."""
     sign: bool = False
-    """A taxi's sign on the roof."""
+    """Whether a taxi's sign is on the roof."""
     spokes: int = 5
     panes: tuple[float, ...] = (0.0, 1.0)
-    """Edges of the side panes but the B-pillar's, as shares of the side windows, in pairs."""
+    """Edges of the side panes without the B-pillar's, as shares of the side windows, in pairs."""
     glazed: float = 1.0
-    """Share of the side windows' length, from the front, that is glass rather than sheet metal."""
+    """Share of the side windows' length, from the front, that is glass; the rest is sheet metal."""
     tinted: bool = False
-    """Dark glass behind the B-pillar."""
+    """Whether the glass behind the B-pillar is dark."""
     doors: int = 4
     sliding: bool = False
     cladding: bool = False
-    """Dark trim around arches and sills."""
+    """Whether arches and sills have dark trim."""
     rails: bool = False
     bed: bool = False
-    """An open cargo bed behind the cabin."""
+    """Whether there is an open cargo bed behind the cabin."""
     canopy: bool = False
-    """A hardtop over the bed."""
+    """Whether there is a hardtop over the bed."""
     body: str = "box"
-    """Cargo body of a truck: "box", "flatbed", "tipper", "curtain", "tractor" for a fifth wheel in its place, or one of
+    """Cargo body of a truck: "box", "flatbed", "tipper", "curtain", "tractor" (a fifth wheel and no body), or one of
     `truck.CARGO_BODIES`."""
     trailer: str = ""
-    """Part that hangs on the vehicle's hinge: "box", "reefer", "curtain", "tank", "container", "bus" for the rear half
-    of one, or nothing."""
+    """Part on the vehicle's hinge: "box", "reefer", "curtain", "tank", "container", "bus" for the rear half of a
+    bus, or "" for none."""
     trailer_axles: tuple[float, ...] = ()
-    """Distances of the trailer's further axles before its rearmost one, metres."""
+    """Distances of the trailer's other axles ahead of its rearmost axle, metres."""
     bend_deg: float = 0.0
-    """Largest angle between a vehicle and its trailer, degrees."""
+    """Maximum angle between a vehicle and its trailer, degrees."""
     axles: tuple[float, ...] = ()
-    """Middle axles' distances before the rearmost one, metres."""
+    """Distances of the middle axles ahead of the rearmost axle, metres."""
     steered: tuple[float, ...] = ()
-    """Second front axles' distances behind the foremost one, metres."""
+    """Distances of further front axles behind the foremost axle, metres."""
     dual: bool = False
-    """Twin tyres at the rear."""
+    """Whether the rear has twin tyres."""
     cab_width: float = 1.0
-    """Width of a cab with its engine before it, as a share of the vehicle's width."""
+    """Width of a cab behind its engine, as a share of the vehicle's width."""
     skirts: bool = False
-    """A body that reaches down to the sills, and so hides frame, tank and guards."""
+    """Whether the body extends down to the sills and hides frame, tank and guards."""
     cab_share: float = 0.0
-    """Height of a cab's roof, as a share of the vehicle's height; 0 for what follows from its body."""
+    """Height of a cab's roof, as a share of the vehicle's height; 0: it follows from the body."""
     deflector: bool = True
-    """A wind deflector over a cab that is lower than the body behind it."""
+    """Whether a cab that is lower than the body behind it has a wind deflector."""
     cooled: bool = False
-    """A cooling unit at the front of a box."""
+    """Whether a box has a cooling unit at its front."""
     face: str = ""
-    """Between the headlights and windscreen of a cab over the engine: one large grille, or "slots", "mask", "shield" or
-    "ladder"; "any" for one of these that the vehicle's length draws."""
+    """Front between headlights and windscreen of a cab above the engine: "" for one large grille, or "slots",
+    "mask", "shield" or "ladder"; "any" for a choice that follows from the vehicle's length."""
     arms: bool = False
-    """Mirrors that stand on arms."""
+    """Whether the mirrors are on arms."""
     soft_seams: bool = False
-    """Panel gaps wide and pale enough to be whole lines 15 m away, and wheel arches without a
-    painted lip."""
+    """Whether panel gaps are wide and pale enough to be unbroken lines at 15 m, and wheel arches have no painted
+    lip."""
     bumper: str = ""
-    """Lower part of the bumpers: "black", "low" (half as high), or as the body."""
+    """Lower part of the bumpers: "black", "low" (half as high), or "" for the body's material."""
     sill: str = ""
-    """Edge of the sills: "paint", "chrome" for a bright line, or dark."""
+    """Edge of the sills: "paint", "chrome" for a bright line, or "" for dark."""
     roof_tone: str = ""
     """Material of the roof. Default: the body's paint."""
     pillar_tone: str = ""
@@ -282,21 +288,19 @@ class VehicleStyle:
     mirror: str = ""
     """Material of the mirrors. Default: the body's paint, or dark trim with cladding or on a tall body."""
     load: str = ""
-    """The load on the roof: "box", "bars", "ladder", "beacons" or nothing."""
+    """Load on the roof: "box", "bars", "ladder", "beacons" or "" for none."""
     antenna: str = ""
-    """"fin", "rod" or none."""
+    """Antenna: "fin", "rod" or "" for none."""
     front_plate: str = "plate"
     """Material of the front number plate; "" for none."""
     rear_plate: str = "plate"
     plate_steps: int = 0
-    """Number of places by which the front number plate hangs above its usual one; a place is
-    `parts.PART_SIZES.plate_step_m`."""
+    """Number of steps of the front number plate above its usual height; the step is `parts.PART_SIZES.plate_step_m`."""
     low_plate: bool = False
-    """The rear number plate hangs in the bumper."""
+    """Whether the rear number plate is in the bumper."""
     badge: str = "chrome"
     """Material of the badges' faces."""
     badge_size: float = 1.0
-    """Size of the badges, 1 for the usual one."""
+    """Relative size of the badges; 1 is the usual size."""
     decal: str = ""
-    """The sticker on the sides: "stripe", "panel", "letters", "checks", or, on the hood, "racing"; or
-    nothing."""
+    """Sticker on the sides: "stripe", "panel", "letters", "checks"; "racing" on the hood; "" for none."""

@@ -1,5 +1,4 @@
-"""Left halves of what heavy bodies are made of: upright shells with rounded corners and edges, prisms, barrels, pipes,
-mudguards, ladders."""
+"""Left halves of the solids of heavy bodies: upright shells, prisms, barrels, pipes, mudguards, ladders."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +20,7 @@ class SolidSizes:
     arch_radius_wheels: float = 1.13
     """Radius of a wheel arch, in radii of its wheel."""
     roof_edge_rows: tuple[tuple[float, float, float], ...] = ((1.3, 0.14, 0.5), (1.65, 0.45, 0.84), (2.0, 1.0, 1.0))
-    """Rows of the edge between wall and roof: shares of its radius inwards and up."""
+    """Rows of the edge between wall and roof: row, shares of its radius inwards and up."""
     barrel_intervals: int = 12
     """Intervals around half a barrel."""
 
@@ -29,36 +28,37 @@ class SolidSizes:
 SOLID_SIZES: Final = SolidSizes()
 
 ROOF_CORNER_ROW = SOLID_SIZES.roof_edge_rows[0][0]
-"""Row of the edge where a roof's corners are marked: visible from both ends."""
+"""Row of the edge with a roof's corners, which is visible from both ends."""
 
 
 @dataclass(frozen=True)
 class Tower:
-    """An upright shell from `low` to `high`, metres."""
+    """Upright shell from `low` to `high`, metres."""
 
     plan: Plan
     low: float
     high: float
     lean: Sequence[tuple[float, float, float, float]] = ((0.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-    """Share of the wall's height, and how far side, front and rear stand in there."""
+    """Share of the wall's height, and the insets of side, front and rear there, metres."""
     edge: float = 0.06
-    """Radius between wall and roof."""
+    """Radius between wall and roof, metres."""
     crown: float = 0.02
-    """Height of the roof's middle over its sides."""
+    """Height of the roof's middle above its sides, metres."""
     ridge: float = 0.0
-    """Distance from its ends within which the roof rises to its crown; 0: from the outline, which flat ends fold."""
+    """Distance from its ends over which the roof rises to its crown, metres; 0: it rises from the outline, which
+    flat ends fold."""
     hollow: float | None = None
-    """Height of the floor, of an open bed."""
+    """Height of the floor of an open bed, metres; None: closed."""
     wall: float = 0.05
-    """Thickness of an open bed's walls."""
+    """Thickness of an open bed's walls, metres."""
     well: float = 9.0
-    """y of the inner side of wheel wells."""
+    """y of the inner side of wheel wells, metres."""
     stations: int = 9
     levels: int = 4
-    """Rows of the wall besides those of `lean`."""
+    """Rows of the wall in addition to those of `lean`."""
 
     def surface(self, material: str) -> tuple[Surface, Array, Array]:
-        """The left half; W of its columns; the outline (columns, 2) half way up."""
+        """Return the left half, W of its columns, and the outline (columns, 2) at half height."""
         stations = np.linspace(0, 1, self.stations)
         top = self.high - self.edge - (0 if self.hollow is not None else self.crown)
         shares = np.unique(np.r_[[row[0] for row in self.lean], np.linspace(0, 1, self.levels)])
@@ -114,13 +114,13 @@ def _shrunk_plan(plan: Plan, inset: float) -> Plan:
 
 
 def corner_w(w: Array, rear: bool = False) -> float:
-    """W in the middle of the front's or the rear's corner."""
+    """Return W at the middle of the front or rear corner."""
     middle = SIDE_START - 2
     return float(w[len(w) - 1 - middle] if rear else w[middle])
 
 
 def arch(axle: float, s: Shape) -> Array:
-    """The polygon of a wheel arch seen from the side, around an axle's x."""
+    """Return the polygon of a wheel arch in side view, around an axle's x."""
     angle = np.linspace(0, np.pi, 12)
     radius = SOLID_SIZES.arch_radius_wheels * s.wheel_radius
     arc = np.stack([axle + radius * np.cos(angle), s.wheel_radius + radius * np.sin(angle)], axis=-1)
@@ -128,7 +128,10 @@ def arch(axle: float, s: Shape) -> Array:
 
 
 def prism(outline: ArrayLike, half_width: float, material: str, *, inner: float = 0.0) -> Mesh:
-    """A convex outline (N, 2), x and z, stretched from y = `inner` to `half_width`; open in the middle if that is 0."""
+    """Return a prism: a convex outline (N, 2), x and z, extruded from y = `inner` to `half_width`.
+
+    It is open in the middle if `inner` is 0.
+    """
     p = np.asarray(outline, dtype=np.float64)
     if (p[:, 0] * np.roll(p[:, 1], -1) - np.roll(p[:, 0], -1) * p[:, 1]).sum() > 0:
         p = p[::-1]
@@ -144,13 +147,14 @@ def _pairs(count: int) -> list[tuple[int, int]]:
 
 
 def barrel(sections: ArrayLike, materials: Sequence[str] | str, *, square: float = 2.0, sharp: bool = False) -> Mesh:
-    """The left half of what has superellipses for sections, along x.
+    """Return the left half of a body with superelliptic sections along x.
 
     Args:
-        sections: (N, 4) with rising x: x, height of the middle, half width, half height; ends without extent close it.
+        sections: (N, 4) with ascending x: x, height of the middle, half width, half height; ends without extent close
+            it.
         materials: One for all, or one for each of the N - 1 parts between two sections.
         square: Exponent of the superellipse: 2 for an ellipse, more for a box with round edges.
-        sharp: Whether an edge runs around it at each section.
+        sharp: Whether each section is a sharp edge.
     """
     s = np.asarray(sections, dtype=np.float64)
     names = [materials] * (len(s) - 1) if isinstance(materials, str) else list(materials)
@@ -161,7 +165,7 @@ def barrel(sections: ArrayLike, materials: Sequence[str] | str, *, square: float
 
 
 def ring(x: float, z: float, half_width: float, half_height: float, *, square: float = 2.0) -> Array:
-    """(13, 3) the left half of a barrel's section, from below upwards."""
+    """Return the left half (13, 3) of a barrel's section, from the bottom upwards."""
     turn = np.linspace(-np.pi / 2, np.pi / 2, SOLID_SIZES.barrel_intervals + 1)
     c, s = np.cos(turn).clip(0), np.sin(turn)
     up = np.sign(s) * np.abs(s) ** (2 / square)
@@ -169,7 +173,7 @@ def ring(x: float, z: float, half_width: float, half_height: float, *, square: f
 
 
 def pipe(start: ArrayLike, end: ArrayLike, radius: float, material: str, *, sides: int = 8) -> Mesh:
-    """A round bar with flat ends."""
+    """Return a round bar with flat ends."""
     a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     bar = tube([a, b], (radius, radius), material, sides)
     rims = bar.vertices.reshape(2, sides + 1, 3)[:, :-1]
@@ -177,7 +181,7 @@ def pipe(start: ArrayLike, end: ArrayLike, radius: float, material: str, *, side
 
 
 def beam(start: ArrayLike, end: ArrayLike, half_width: float, half_height: float, material: str) -> Mesh:
-    """A bar of rectangular section from one point to another in a plane of constant y."""
+    """Return a bar with a rectangular section between two points in a plane of constant y."""
     a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     along = (b - a)[[0, 2]] / np.hypot(*(b - a)[[0, 2]])
     across = np.array([-along[1], along[0]]) * half_height
@@ -189,7 +193,7 @@ def beam(start: ArrayLike, end: ArrayLike, half_width: float, half_height: float
 def mudguard(
     center: tuple[float, float], radius: float, y: tuple[float, float], material: str, *, reach_deg: float = 78.0
 ) -> Mesh:
-    """A curved guard over a wheel about x, z, between two y, as far as `reach_deg` to either side of its top."""
+    """Return a curved guard over a wheel at x, z, between two y, up to `reach_deg` on either side of its top."""
     turn = np.radians(np.linspace(-reach_deg, reach_deg, 9))
     arcs = [
         np.column_stack([center[0] + r * np.sin(turn), 0 * turn, center[1] + r * np.cos(turn)])
@@ -207,7 +211,10 @@ def mudguard(
 
 
 def ladder(x: float, y: tuple[float, float], low: float, high: float, material: str) -> Mesh:
-    """An upright ladder across the vehicle at x, between two y; from the middle it is half of one."""
+    """Return an upright ladder across the vehicle at x, between two y.
+
+    If it begins at the middle, it is half a ladder.
+    """
     rails = [box((x - 0.02, at - 0.02, low), (x + 0.02, at + 0.02, high), material) for at in y if at > 0]
     rungs = [
         box((x - 0.015, y[0], z), (x + 0.015, y[1], z + 0.03), material)

@@ -1,4 +1,4 @@
-"""Trailers: box, curtain, container or tank on a frame, behind a kingpin or at a drawbar; the rear half of a bus."""
+"""Trailers: box, curtain, container or tank behind a kingpin or at a drawbar, and the rear half of a bus."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,9 +22,9 @@ class TrailerSizes:
     frame_depth_m: float = 0.42
     """Depth of a trailer's frame under its floor, metres."""
     neck_m: float = 0.13
-    """Depth of a semi-trailer's frame over the tractor, metres."""
+    """Depth of a semi-trailer's frame above the tractor, metres."""
     legs_m: float = 2.5
-    """Distance of a semi-trailer's landing legs behind the kingpin, metres."""
+    """Distance of a semi-trailer's landing gear behind the kingpin, metres."""
     strap_m: float = 0.62
     """Distance between a curtain's straps, metres."""
     corrugation_m: float = 0.278
@@ -39,7 +39,7 @@ class TrailerSizes:
         (0.93, 0.64),
         (1.0, 1.0),
     )
-    """A tank's ends, from the tip: size of the cross-section, and way from the tip, as shares."""
+    """Ends of a tank, from the tip: size of the cross-section and distance from the tip, as shares."""
     dome_normals: tuple[tuple[float, float], ...] = (
         (1.0, 0.0),
         (0.95, 0.3),
@@ -48,17 +48,17 @@ class TrailerSizes:
         (0.37, 0.93),
         (0.0, 1.0),
     )
-    """Directions in which a tank's ends face there: along it and outwards."""
+    """Normals of a tank's ends at these sections: components along the tank and outwards."""
 
 
 TRAILER_SIZES: Final = TrailerSizes()
 
 
 class TrailerBody:
-    """The surfaces of a trailer, in its own frame. `mesh` is the body without the wheels of its rearmost axle; `points`
-    the left keypoints, in the same frame.
+    """Surfaces of a trailer, in its own frame.
 
-    It is built with its middle at x = 0, as vehicles are, and then moved behind the hinge.
+    `mesh` is the body without the wheels of its rearmost axle; `points` are the left keypoints. The trailer is built
+    with its middle at x = 0, as vehicles are, and then moved behind the hinge.
     """
 
     def __init__(self, shape: Shape, style: VehicleStyle) -> None:
@@ -90,7 +90,7 @@ class TrailerBody:
 
     @property
     def interior(self) -> Mesh | None:
-        """Seats, where there are windows."""
+        """Seats if there are windows, else None."""
         return self._bus.interior.moved([self._offset, 0.0, 0.0]) if self._bus else None
 
     @property
@@ -98,7 +98,7 @@ class TrailerBody:
         return {stem: point + [self._offset, 0.0, 0.0] for stem, point in self._points.items()}
 
     def _build_frame(self) -> None:
-        """Rails, axles, guards, what stands under the front, and the rear bumper with its lamps."""
+        """Build rails, axles, guards, the support under the front, and the rear bumper with its lamps."""
         s, add = self.shape, self._parts.append
         front, end, hinge, floor = s.length / 2, -s.length / 2, -self._offset, s.box_height
         rearmost = hinge - s.trailer_axle
@@ -123,7 +123,7 @@ class TrailerBody:
         self._parts += underrun_bar(s, self.style, self._points)
 
     def _build_cargo(self) -> None:
-        """A box, with or without a cooling unit, a curtain or a container."""
+        """Build a box, with or without a cooling unit, a curtain or a container."""
         s = self.shape
         kind = "box" if self.style.trailer == "reefer" else self.style.trailer
         front, end = s.length / 2, -s.length / 2
@@ -143,7 +143,7 @@ class TrailerBody:
                     self._parts.append(box((x, y - 0.1, z), (x + 0.18, y + 0.028, z + 0.12), "under"))
 
     def _build_tank(self) -> None:
-        """An elliptic tank with a walkway on it, hoses and a cabinet at its side."""
+        """Build an elliptical tank with a walkway on top, and hoses and a cabinet at its side."""
         s = self.shape
         front, end = s.length / 2, -s.length / 2
         low, high = s.box_height - 0.12, s.height - 0.12
@@ -167,9 +167,10 @@ class TrailerBody:
 
 
 def _tank(half_length: float, size: tuple[float, float]) -> tuple[Mesh, Array]:
-    """The left half of an elliptic tank along x, with half its width and height.
+    """Return the left half of an elliptical tank along x, with half its width and height.
 
-    Returns its mesh and (rings, columns, 3) points on it: from the rear's tip to the front's, from below upwards.
+    Returns:
+        Its mesh, and points (rings, columns, 3) on it: from the rear's tip to the front's, from the bottom upwards.
     """
     turn = np.radians(np.arange(-90, 91, 10))
     unit = np.column_stack([np.cos(turn), np.sin(turn)])
@@ -184,7 +185,7 @@ def _tank(half_length: float, size: tuple[float, float]) -> tuple[Mesh, Array]:
     flip = np.array([-1.0, 1.0, 1.0])
     surface = np.stack([*rings, *(ring * flip for ring in rings[::-1])])
     directions = np.stack([*normals, *(normal * flip for normal in normals[::-1])])
-    # Counter-clockwise from outside: rows go down on the left side, columns forward.
+    # Counter-clockwise from outside: rows go down on the left side, columns forwards.
     skin = grid(surface.swapaxes(0, 1)[::-1], [["livery"] * (len(surface) - 1)] * (len(turn) - 1))
     skin = replace(skin, normals=directions.swapaxes(0, 1)[::-1].reshape(-1, 3))
     a, b, c = np.moveaxis(skin.vertices[skin.triangles], 1, 0)
@@ -192,7 +193,7 @@ def _tank(half_length: float, size: tuple[float, float]) -> tuple[Mesh, Array]:
 
 
 def _cooling_unit(front: float, low: float, high: float) -> list[Mesh]:
-    """The left half of the machine on a refrigerated box's front wall, with its grilles."""
+    """Return the left half of the cooling unit on a refrigerated box's front wall, with its grilles."""
     deep, wide = 0.42, 0.96
     behind, face = front + deep - 0.01, front + deep + 0.006
     slats = np.arange(low + 0.12, low + 0.7, 0.09)
@@ -204,7 +205,7 @@ def _cooling_unit(front: float, low: float, high: float) -> list[Mesh]:
 
 
 def _landing_legs(x: float, floor: float) -> list[Mesh]:
-    """The left one of the legs that a semi-trailer stands on without a tractor, wound up, and its brace."""
+    """Return the left landing gear of a semi-trailer, raised, and its brace."""
     return [
         box((x - 0.08, 0.72, 0.52), (x + 0.08, 0.88, floor), "under"),
         box((x - 0.06, 0.74, 0.36), (x + 0.06, 0.86, 0.53), "rail"),
@@ -214,7 +215,7 @@ def _landing_legs(x: float, floor: float) -> list[Mesh]:
 
 
 def _drawbar(front: float, hinge: float, height: float) -> list[Mesh]:
-    """The left half of a drawbar from under a trailer's front to the hinge."""
+    """Return the left half of a drawbar from under a trailer's front to the hinge."""
     beam = [(front - 0.6, 0.4, height), (hinge - 0.25, 0.03, height)]
     return [
         tube(beam, [0.07] * 2, "under", 6),

@@ -1,7 +1,7 @@
-"""The trailers of articulated vehicles: how they follow the hinge, and where they are in the world.
+"""Motion of the trailers of articulated vehicles, and their poses in the world.
 
-A trailer's axles roll along its heading, so that it turns towards where the hinge goes: the way of its axle is the
-tractrix of the hinge's. Several axles turn about the middle between them.
+A trailer's axles roll along its heading, so that it turns towards the direction of the hinge's motion. The path of its
+axle is the tractrix of the hinge's path. Several axles turn about the middle between them.
 """
 
 import math
@@ -13,22 +13,22 @@ from skope.gen.vehicles.model import Vehicle
 from skope.types import Array
 
 NO_TRAILER: Final = np.tile(np.eye(4), (3, 1, 1))
-"""Poses that stand for those of a trailer where there is none."""
+"""Placeholder for the poses of a trailer if there is none."""
 
 
 class Hitch(NamedTuple):
-    """Distances of an articulated vehicle, metres, and how far it bends."""
+    """Distances of an articulated vehicle, metres, and its maximum bend."""
 
     hinge: float
-    """From the vehicle's rear axle forwards to the hinge; negative behind it."""
+    """Distance from the vehicle's rear axle forwards to the hinge; negative behind it."""
     axle: float
-    """From the hinge back to the middle of the trailer's axles."""
+    """Distance from the hinge back to the middle of the trailer's axles."""
     bend: float
-    """Largest angle between vehicle and trailer, radians."""
+    """Maximum angle between vehicle and trailer, radians."""
 
     @classmethod
     def of(cls, vehicle: Vehicle) -> "Hitch | None":
-        """The distances of a vehicle; None where it has no trailer."""
+        """Return the distances of a vehicle; None without a trailer."""
         trailer = vehicle.trailer
         if trailer is None:
             return None
@@ -39,27 +39,28 @@ class DrivenTrailer(NamedTuple):
     """State of a trailer at one step."""
 
     yaw: float
-    """Heading, counter-clockwise from east, radians; of turns in one direction the sum."""
+    """Heading, counter-clockwise from east, radians; not wrapped, so that turns add up."""
     height: float
     """Height of the road under its axles, metres."""
     rolled: float
-    """Distance that the middle of its axles has rolled, metres."""
+    """Distance rolled by the middle of its axles, metres."""
 
 
 class Follower:
-    """A trailer behind a hinge that moves in the plane."""
+    """Trailer behind a hinge that moves in the plane."""
 
     def __init__(self, hitch: Hitch, x: float, y: float, yaw: float) -> None:
-        """Begin with the hinge at (x, y), world, metres, and with the heading `yaw`, radians."""
+        """Start with the hinge at (x, y), world, metres, and with the heading `yaw`, radians."""
         self._hitch, self._x, self._y = hitch, x, y
         self.yaw, self.rolled = yaw, 0.0
 
     def follow(self, x: float, y: float, vehicle_yaw: float) -> None:
-        """Move the hinge straight to (x, y), metres, where the vehicle before it has the heading `vehicle_yaw`.
+        """Move the hinge straight to (x, y), metres.
 
-        On the way the angle b between the trailer's heading and the hinge's course decays, db/ds = -sin(b) / axle, so
-        that t = tan(b / 2) falls by exp(-s / axle), and the axle rolls by the integral of cos(b). Beyond the largest
-        angle to the vehicle the trailer is dragged sideways.
+        `vehicle_yaw` is the heading of the vehicle in front of it there, radians. The angle b between the trailer's
+        heading and the hinge's course decays on the way: db/ds = -sin(b) / axle. Therefore t = tan(b / 2) falls by
+        exp(-s / axle), and the axle rolls by the integral of cos(b). Beyond the maximum angle to the vehicle, the
+        trailer is dragged sideways.
         """
         way, course = math.hypot(x - self._x, y - self._y), math.atan2(y - self._y, x - self._x)
         if way == 0:
@@ -75,9 +76,9 @@ class Follower:
 
 
 def trailer_poses(vehicle: Vehicle, driven: DrivenTrailer | None, T_world_chassis: Array) -> Array:
-    """(3, 4, 4) world poses of a vehicle's trailer and of its wheels, rear right and rear left.
+    """Return world poses (3, 4, 4) of a vehicle's trailer and of its wheels, rear right and rear left.
 
-    The trailer hangs on the hinge, stands with its axles on the road, and leans to the side as what draws it does.
+    The trailer is on the hinge, has its axles on the road, and leans to the side as the towing vehicle does.
     """
     trailer = vehicle.trailer
     if trailer is None or driven is None:
@@ -101,7 +102,7 @@ def trailer_poses(vehicle: Vehicle, driven: DrivenTrailer | None, T_world_chassi
 
 
 def _turned(yaw: float, pitch: float, roll: float) -> Array:
-    """(3, 3) rotation to a heading, up by `pitch`, with its left side raised by `roll`, radians."""
+    """Return the rotation (3, 3) to a heading, up by `pitch`, with the left side raised by `roll`, radians."""
     x = np.array([math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), math.sin(pitch)])
     y = np.array([-math.sin(yaw), math.cos(yaw), 0.0])
     up = np.cross(x, y)

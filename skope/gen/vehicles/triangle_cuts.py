@@ -1,5 +1,7 @@
-"""Cuts triangles along the edges of convex polygons, which is the arithmetic behind panels that are drawn on a shell;
-and cuts whole bodies across, with the wall that closes them there."""
+"""Cut triangles along the edges of convex polygons, and cut whole bodies across.
+
+The first is the arithmetic for panels on a shell. The second adds the wall that closes the cut.
+"""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,16 +19,16 @@ class CutLimits:
     """Precision of cuts through meshes."""
 
     wall_corners: int = 40
-    """Corners of the wall around its middle."""
+    """Number of corners of the wall around its middle."""
     snap_m: float = 8e-4
-    """Cuts nearer to a vertex than this go through it, metres."""
+    """Distance from a vertex within which a cut goes through the vertex, metres."""
 
 
 CUT_LIMITS: Final = CutLimits()
 
 
 def clipped(mesh: Mesh, x: float) -> Mesh:
-    """The part of a mesh that lies ahead of `x`; open there."""
+    """Return the part of a mesh ahead of `x`; open there."""
     ahead = mesh.vertices[:, 0] > x
     count = ahead[mesh.triangles].sum(axis=1)
     corners, normals, material = [], [], []
@@ -55,7 +57,7 @@ def clipped(mesh: Mesh, x: float) -> Mesh:
 
 
 def rear_wall(mesh: Mesh, x: float, material: str) -> Mesh:
-    """A wall that closes the left half of a body that was clipped at `x`."""
+    """Return a wall that closes the left half of a body that was clipped at `x`."""
     edge = mesh.vertices[np.abs(mesh.vertices[:, 0] - x) < 1e-6][:, 1:]
     middle = np.array([0.0, (edge[:, 1].min() + edge[:, 1].max()) / 2])
     away = edge - middle
@@ -71,7 +73,7 @@ def rear_wall(mesh: Mesh, x: float, material: str) -> Mesh:
 
 
 def _wall_fan(points: Array, x: float, material: str) -> Mesh:
-    """Triangles around the first of the points (N, 2), y and z, that face the rear."""
+    """Return triangles around the first of the points (N, 2), y and z, that face the rear."""
     corners = np.column_stack([np.full(len(points), x), points])
     return from_triangles(corners, [[0, k + 1, k] for k in range(1, len(points) - 1)], material)
 
@@ -79,25 +81,26 @@ def _wall_fan(points: Array, x: float, material: str) -> Mesh:
 Indices = NDArray[np.int64]
 
 NORMAL_COLUMNS: Final = slice(3, 6)
-"""Columns of a vertex that are a direction, which stays a unit vector in between two vertices."""
+"""Columns of a vertex that are a direction, which is normalised again between two vertices."""
 TRIANGLE_EDGES: Final = np.array([[0, 1], [1, 2], [2, 0]])
-"""Corners of a triangle that each of its edges joins."""
+"""The two corners of each of a triangle's edges."""
 _SPLIT_TRIANGLES: Final = {
     1: np.array([(0, 3, 2), (3, 1, 2)]),
     2: np.array([(3, 1, 4), (0, 3, 4), (0, 4, 2)]),
     3: np.array([(0, 3, 5), (3, 1, 4), (4, 2, 5), (3, 4, 5)]),
 }
-"""Triangles that one becomes, by how many of its edges are split: 0-2 are its corners, 3-5 the middles of its edges."""
+"""Triangles that replace a split triangle, by its number of split edges. 0-2 are its corners, 3-5 the middles of its
+edges."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConvexPolygon:
-    """A convex polygon of E edges in a projection of vertices, counter-clockwise."""
+    """Convex polygon of E edges in a projection of vertices, counter-clockwise."""
 
     low: Array
-    """(2,) least corner of the box around it."""
+    """(2,) minimum corner of the box around it."""
     high: Array
-    """(2,) greatest corner of the box around it."""
+    """(2,) maximum corner of the box around it."""
     starts: Array
     """(E, 2) a point on each edge."""
     normals: Array
@@ -105,7 +108,7 @@ class ConvexPolygon:
 
     @classmethod
     def of(cls, corners: ArrayLike) -> "ConvexPolygon":
-        """The polygon of corners (N, 2) in either direction; edges without length are left out."""
+        """Return the polygon of corners (N, 2) in either direction; edges without length are left out."""
         p = np.asarray(corners, dtype=np.float64)
         if (p[:, 0] * np.roll(p[:, 1], -1) - np.roll(p[:, 0], -1) * p[:, 1]).sum() < 0:
             p = p[::-1]
@@ -118,16 +121,16 @@ class ConvexPolygon:
 
 @dataclass(frozen=True, eq=False)
 class CutTriangles:
-    """Triangles that were cut, with their vertices."""
+    """Triangles after a cut, with their vertices."""
 
     vertices: Array
-    """(V', C) those of before, then those that were added on edges."""
+    """(V', C) the original vertices, then those added on edges."""
     triangles: Indices
     """(T', 3) indices of vertices."""
     parent: Indices
-    """(T',) the triangle of before that each is part of."""
+    """(T',) the original triangle that each triangle is part of."""
     inside: NDArray[np.bool_]
-    """(T',) whether it lies in the polygon."""
+    """(T',) whether each triangle lies in the polygon."""
 
 
 def cut(
@@ -142,17 +145,17 @@ def cut(
     """Split triangles along a polygon's edges.
 
     Args:
-        vertices: (V, C) of which columns 3 to 5 are a normal.
+        vertices: (V, C); columns 3 to 5 are a normal.
         triangles: (T, 3) indices of vertices.
-        inside: (T,) the triangles that are to be cut; others are split only where they share an edge with these.
-        polygon: What they are cut by.
-        projection: The columns of vertices that the polygon is in.
+        inside: (T,) mask of the triangles to cut; others are split only if they share an edge with these.
+        polygon: The polygon that cuts.
+        projection: Columns of `vertices` in which the polygon is given.
         keep_outside: Whether triangles outside the polygon are kept.
     """
     parent = np.arange(len(triangles))
     offsets = (polygon.starts * polygon.normals).sum(axis=1)
     for start, normal in zip(polygon.starts, polygon.normals, strict=True):
-        # What lies outside one of the edges altogether needs no cutting by the others.
+        # Triangles that are completely outside one edge need no cuts by the other edges.
         inside[inside] = _reach_inside(vertices, triangles[inside], polygon.normals, offsets, projection)
         if not keep_outside:
             triangles, parent, inside = triangles[inside], parent[inside], inside[inside]
@@ -170,7 +173,7 @@ def cut(
 def _reach_inside(
     vertices: Array, triangles: Indices, normals: Array, offsets: Array, projection: tuple[int, int]
 ) -> NDArray[np.bool_]:
-    """(T,) whether triangles have a corner on the inner side of every edge."""
+    """Return whether triangles have a corner on the inner side of every edge, (T,)."""
     u, v = (vertices[:, column][triangles] for column in projection)
     out = np.ones(len(triangles), dtype=bool)
     for (nu, nv), offset in zip(normals.tolist(), offsets.tolist(), strict=True):
@@ -179,7 +182,7 @@ def _reach_inside(
 
 
 def _heights(vertices: Array, projection: tuple[int, int], start: Array, normal: Array) -> Array:
-    """(V,) distances of vertices from an edge, inwards; 0 for those that a cut goes through."""
+    """Return the distances (V,) of vertices from an edge, inwards; 0 for vertices that a cut goes through."""
     u, v = projection
     value: Array = (vertices[:, u] - start[0]) * normal[0] + (vertices[:, v] - start[1]) * normal[1]
     value[np.abs(value) < CUT_LIMITS.snap_m] = 0
@@ -189,9 +192,10 @@ def _heights(vertices: Array, projection: tuple[int, int], start: Array, normal:
 def _split_edges(
     vertices: Array, triangles: Indices, inside: NDArray[np.bool_], value: Array
 ) -> tuple[Array, Indices, Indices]:
-    """Split edges of triangles `inside` where `value` (V,) of the vertices changes sign.
+    """Split edges of triangles `inside` at which the sign of `value` (V,) changes.
 
-    Returns the vertices with the new ones at the end, the new triangles, and the old one of each.
+    Returns:
+        The vertices with new ones at the end, the new triangles, and the original triangle of each.
     """
     at_corners = value[triangles]
     crossing = inside[:, None] & (at_corners * at_corners[:, [1, 2, 0]] < 0)
@@ -215,7 +219,7 @@ def _split_edges(
         at = np.flatnonzero(count == splits)
         if not len(at):
             continue
-        # Turned so that the first edge is the split one, or the last edge the one that is not split.
+        # Rotated so that the first edge is the split one, or the last edge the one that is not split.
         own = hit[at]
         start = {1: own.argmax(axis=1), 2: (~own).argmax(axis=1) + 1, 3: 0 * at}[splits]
         turn = (start[:, None] + np.arange(3)) % 3

@@ -1,5 +1,7 @@
-"""Trucks: a cab over the engine or behind a long hood, a frame with its axles, and a cargo body behind: box, curtain,
-flatbed, tipper or one of `CARGO_BODIES`; and lorries that have the front of a car or van."""
+"""Trucks: a cab above the engine or behind a long hood, a frame with its axles, and a cargo body.
+
+The body is a box, curtain, flatbed, tipper or one of `CARGO_BODIES`. Some lorries have the front of a car or van.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -42,7 +44,7 @@ def draw_face(cab: Surface, kind: str, place: tuple[float, float, float], s: Sha
         cab: The cab's shell.
         kind: One of `VehicleStyle.face`.
         place: Half its width, its lower and its upper edge, metres.
-        s: The vehicle's shape, which draws a face where the kind is "any".
+        s: The vehicle's shape, which selects a face if the kind is "any".
     """
     half, low, high = place
     if kind == "any":
@@ -80,24 +82,24 @@ class TruckSizes:
     behind_bumper_m: float = 0.14
     """Distance of the grille behind the bumper's face, metres."""
     fender_share: float = 0.6
-    """Share of the hood's height at which the fenders end and the hood stands in."""
+    """Share of the hood's height at which the fenders end and the hood becomes narrower."""
     body_gap_m: float = 0.09
     """Gap between cab and body, metres."""
     front_lip: float = 0.06
     """Share of the wall's height at which the front turns under: the lower edge of the bumper."""
     crew_cab_m: float = 2.5
-    """Length above which a cab has a second row of seats, metres."""
+    """Minimum length of a cab with a second row of seats, metres."""
     screen_height_m: float = 1.45
-    """Greatest height of a windscreen, metres."""
+    """Maximum height of a windscreen, metres."""
     guarded_from_m: float = 0.6
-    """Least room between the axles that is worth a tank and guards, metres."""
+    """Minimum distance between axles with a tank and guards, metres."""
 
 
 TRUCK_SIZES: Final = TruckSizes()
 
 
 def long_hood(s: Shape, style: VehicleStyle, points: Points) -> list[Mesh]:
-    """The left half of a hood from the vehicle's front back to its cab; notes the front's keypoints."""
+    """Return the left half of a hood from the vehicle's front back to its cab; record the front's keypoints."""
     nose = s.length / 2
     half, top = s.width / 2 - 0.04, s.hood_height
     plan = Plan(half, nose - TRUCK_SIZES.behind_bumper_m, nose - s.hood_length - 0.06, 0.1, 0.0, 0.22, 0.04)
@@ -128,7 +130,7 @@ def long_hood(s: Shape, style: VehicleStyle, points: Points) -> list[Mesh]:
 
 
 def exhaust_stack(x: float, y: float, low: float, high: float) -> list[Mesh]:
-    """The upright chromed pipe behind the left side of a cab, with its muffler."""
+    """Return the upright chromed pipe behind the left side of a cab, with its muffler."""
     pipe = [np.array([x, y, z]) for z in (low, high)]
     muffler = [np.array([x, y, z]) for z in (low + 0.5, low + 1.4)]
     return [
@@ -159,14 +161,14 @@ CARGO_BODIES: Final[Mapping[str, Callable[[CargoSpace], Cargo]]] = {
 
 
 class TruckBody:
-    """The surfaces of a truck. `mesh` is the body without its four outer wheels; `points` the left keypoints."""
+    """Surfaces of a truck. `mesh` is the body without its four outer wheels; `points` the left keypoints."""
 
     def __init__(self, shape: Shape, style: VehicleStyle) -> None:
         self.shape, self.style = shape, style
         self.points: dict[str, Array] = {}
         self.nose, self.end = shape.length / 2, -shape.length / 2
         self.face = self.nose - shape.hood_length
-        """x of the cab's front: the vehicle's own, but for a long nose before it."""
+        """x of the cab's front: the vehicle's front, unless there is a long nose."""
         self.cab_rear = self.nose - shape.cab_length
         high_body = style.body in ("box", "curtain", "tractor")
         heavy = shape.wheel_radius > 0.45
@@ -220,21 +222,21 @@ class TruckBody:
             self._parts += [lining, parts.arch_lip(rim, (s.front_axle_x, s.wheel_radius), "trim", cab.side)]
         base, top = s.belt_height - 0.02, self.cab_height - 0.24
         if self.style.face:
-            # Under a high roof the windscreen ends where it would end under a low one.
+            # Under a high roof, the windscreen ends at the same height as under a low roof.
             top = min(top, base + TRUCK_SIZES.screen_height_m)
         if s.width > PANEL_LIMITS.marked_from_m and self.cab_height - top > 0.2:
             z = self.cab_height - (0.3 if self.cab_height - top > 0.4 else 0.2)
             draw_upper_markers(cab, s.width / 2 - 0.1, z)
             if self.style.face:
                 cab.draw(rectangle_outline(0.19, 0.31, z, z + 0.05), WRAP_AXES, FRONT_MARKER, layer=3)
-        if self.style.body == "tractor":  # over the windscreen there is room for a bed
+        if self.style.body == "tractor":  # space for a bed above the windscreen
             top = min(top, base + 1.05)
         screen = corner_w(w) - 0.05
         cab.paint(rectangle_outline(-0.2, screen + 0.05, base - 0.05, top + 0.06), WRAP_AXES, "trim")
         cab.paint(rectangle_outline(-0.2, screen, base, top), WRAP_AXES, "glass")
         for start, stop in ((0.04, 0.55), (0.5, screen - 0.06)):
             cab.line([(start, base - 0.02), (stop, base + 0.06)], WRAP_AXES, width=0.02, layer=4)
-        # Painted it also is clean from afar, where what hovers over the shell flickers.
+        # Painted panels are also clean in distant views, in which panels that float above the shell flicker.
         lay = cab.paint if self.style.face else cab.draw
         lay(rectangle_outline(-1, 99, 0, s.bumper_height - 0.1), WRAP_AXES, "trim")
         self._cab_doors(cab, base, top)
@@ -257,7 +259,7 @@ class TruckBody:
             }
 
     def _cab_doors(self, cab: Surface, base: float, top: float) -> None:
-        """Side windows, gaps around the doors, handles, steps."""
+        """Draw side windows, gaps around the doors, handles and steps."""
         s = self.shape
         ahead, behind = self.face - 0.2, self.face - min(1.35, s.cab_length - 0.32)
         window = [
@@ -284,7 +286,7 @@ class TruckBody:
         self.points["beltline"] = cab.place((behind + 0.06, base), SIDE_AXES)[0]
 
     def _add_cab_parts(self, screen: float, base: float, top: float) -> None:
-        """Mirrors, a visor over the windscreen, a deflector before a high body."""
+        """Add mirrors, a visor above the windscreen, and a deflector before a high body."""
         s = self.shape
         root = (self.face - 0.3, s.width / 2 - 0.03, base + 0.28)
         if self.style.arms:
@@ -303,7 +305,7 @@ class TruckBody:
             )
 
     def _build_frame(self) -> None:
-        """Rails, tank, guards, axles with all but the four outer wheels, and the rear bumper with its lamps."""
+        """Build rails, tank, guards, axles with their inner wheels, and the rear bumper with its lamps."""
         s, style = self.shape, self.style
         low, high = s.box_height - (0.1 if style.skirts else 0.3), s.box_height + 0.01
         add = self._parts.append
@@ -317,7 +319,7 @@ class TruckBody:
         self._parts += underrun_bar(s, replace(style, family="truck"), self.points)
 
     def _add_guards(self, axles: list[float], steered: list[float], low: float) -> None:
-        """Tank and side guards between the axles, under rails at the height `low`."""
+        """Add tank and side guards between the axles, under rails at the height `low`."""
         s, add = self.shape, self._parts.append
         ahead = max(axles) + s.wheel_radius + 0.12
         start = min([s.front_axle_x, *steered]) - s.wheel_radius - 0.3
@@ -343,7 +345,7 @@ class TruckBody:
         self.points |= points
 
     def _build_fifth_wheel(self) -> None:
-        """The plate that carries a semi-trailer, guards over the rear wheels, panels behind the cab, steps."""
+        """Build the plate of a semi-trailer, guards over the rear wheels, panels behind the cab, and steps."""
         s, add = self.shape, self._parts.append
         x, z, frame = s.hinge_x, s.hinge_height, s.box_height
         add(box((x - 0.5, 0.0, z - 0.09), (x + 0.42, 0.46, z - 0.02), "under"))
@@ -363,25 +365,31 @@ class TruckBody:
 
 
 def _sheet(face: list[tuple[float, float]], inner: float, outer: float) -> Mesh:
-    """A prism from y = `inner` to y = `outer` over a convex polygon (x, z), counter-clockwise seen from the right."""
+    """Return a prism from y = `inner` to y = `outer` over a convex polygon (x, z).
+
+    The polygon is counter-clockwise seen from the right.
+    """
     near, far = ([np.array([x, y, z]) for x, z in face] for y in (inner, outer))
     around = [[near[i], far[i], far[j], near[j]] for i, j in ((k, (k + 1) % len(face)) for k in range(len(face)))]
     return quads(np.array([near, far[::-1], *around]), "trim")
 
 
 def _tank(rear: float, front: float, y: float, z: float) -> Mesh:
-    """A fuel tank along the frame."""
+    """Return a fuel tank along the frame."""
     return parts.block((rear, y - 0.27, z - 0.27), (front, y + 0.27, z + 0.27), "chrome", 0.12)
 
 
 _REAR_POINTS: Final = frozenset(
     ("taillight_outer", "taillight_inner", "bumper_rear", "trunk_rear", "roof_rear", "rear_window_base")
 )
-"""Keypoints that the cargo body and the frame have, and not the cab."""
+"""Keypoints of the cargo body and the frame, which the cab does not have."""
 
 
 class ChassisCabBody(TruckBody):
-    """A truck with the front of a car or van, as long as `shape.cab_length`, narrower than the cargo body behind it."""
+    """Truck with the front of a car or van.
+
+    The front is `shape.cab_length` long and narrower than the cargo body behind it.
+    """
 
     @cached_property
     def interior(self) -> Mesh:

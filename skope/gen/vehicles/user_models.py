@@ -1,4 +1,4 @@
-"""Vehicle models that users add: kept in a folder of their own, one subfolder each."""
+"""Vehicle models that users add: stored in a separate folder, one subfolder per model."""
 
 import hashlib
 import io
@@ -32,9 +32,9 @@ class UserModelLimits:
     """Limits of a user's vehicle models."""
 
     density: float = 115.0
-    """Kilograms per cubic metre of the box around a vehicle: what a sedan has."""
+    """Mass per volume of the box around a vehicle, kg/m3: that of a sedan."""
     masses_kg: tuple[float, float] = (1.0, 1_000_000.0)
-    """Least and greatest mass, kilograms: what stands on wheels between a model and the heaviest haul truck."""
+    """Minimum and maximum mass, kilograms: from a scale model to the heaviest haul truck."""
     version: int = 1
     """Version of the files."""
 
@@ -48,7 +48,7 @@ MESH_FIELDS: Final = ("vertices", "normals", "triangles", "material")
 
 @dataclass(frozen=True, eq=False)
 class AddedVehicle(Derived):
-    """A model from a file; its windows are opaque."""
+    """Model from a file; its windows are opaque."""
 
     model: str
     vehicle_type: str
@@ -67,7 +67,7 @@ class AddedVehicle(Derived):
 
 
 def models_folder() -> Path:
-    """$SKOPE_VEHICLES, or skope's folder in the user's data."""
+    """Return $SKOPE_VEHICLES, or skope's folder in the user's data."""
     own = os.environ.get("SKOPE_VEHICLES")
     if own:
         return Path(own)
@@ -78,7 +78,7 @@ def vehicle_of_model(marked: Marked, name: str, vehicle_type: str, mass: float |
     """Make a vehicle from a model with markers.
 
     Args:
-        marked: What `read_marked` read.
+        marked: The result of `read_marked`.
         name: Name of the new model.
         vehicle_type: One of `VEHICLE_TYPES`.
         mass: Kilograms. Default: estimated from the size.
@@ -102,7 +102,11 @@ def vehicle_of_model(marked: Marked, name: str, vehicle_type: str, mass: float |
 
 
 def save_model(vehicle: AddedVehicle) -> Path:
-    """Write a model's files; returns their folder. Raises UserError where another model has that name."""
+    """Write a model's files; return their folder.
+
+    Raises:
+        UserError: Another model has that name.
+    """
     path = models_folder() / vehicle.model
     arrays = {f"{name}_{field}": getattr(getattr(vehicle, name), field) for name in MESH_NAMES for field in MESH_FIELDS}
     mesh = io.BytesIO()
@@ -130,15 +134,16 @@ def save_model(vehicle: AddedVehicle) -> Path:
 
 
 def remove_model(name: str) -> Path:
-    """Remove a model's files, readable or not; returns their folder, which stays where it holds anything else.
+    """Remove a model's files, readable or not; return their folder, which is kept if it contains other files.
 
-    Raises UserError where no model of that name was added, or its files cannot be removed.
+    Raises:
+        UserError: No model of that name was added, or its files cannot be removed.
     """
     if name not in model_names():
         raise UserError(f"{name}: no such model was added; there are: {', '.join(model_names()) or 'none'}")
     path = models_folder() / name
     try:
-        # What makes it a model goes last: a removal that was stopped can be repeated.
+        # The file that identifies a model is removed last, so that an interrupted removal can be repeated.
         for file in _MODEL_FILES:
             (path / file).unlink(missing_ok=True)
         if not any(path.iterdir()):
@@ -151,7 +156,7 @@ def remove_model(name: str) -> Path:
 
 @cache
 def load_model(name: str) -> AddedVehicle:
-    """A model that was added under that name."""
+    """Return the added model with this name."""
     path = models_folder() / check_name("model", name)
     if not (path / "vehicle.json").is_file():
         raise UserError(f"--vehicles: there is no model {name!r}; `skope gen vehicles list` names all")
@@ -174,7 +179,7 @@ def load_model(name: str) -> AddedVehicle:
             wheel=wheel,
         )
         Sidecar.from_dict(row["sidecar"])
-    except Exception as error:  # damaged archives and fields come in a dozen types
+    except Exception as error:  # damaged archives and fields raise many exception types
         raise UserError(f"{path}: not a readable vehicle: {error}") from None
     return vehicle
 
@@ -195,7 +200,11 @@ def _read_dimensions(told: Mapping[str, Any]) -> Dimensions:
 
 
 def _read_mesh(arrays: Mapping[str, NDArray[Any]], name: str, materials: list[str]) -> Mesh:
-    """A mesh of a file; a UserError where its arrays do not belong together."""
+    """Return a mesh of a file.
+
+    Raises:
+        UserError: The arrays have inconsistent shapes, values that are not finite, or invalid indices.
+    """
     vertices, normals, triangles, material = (arrays[f"{name}_{field}"] for field in MESH_FIELDS)
     count = len(triangles)
     shapes = (vertices.shape, normals.shape, triangles.shape, material.shape)
@@ -210,7 +219,7 @@ def _read_mesh(arrays: Mapping[str, NDArray[Any]], name: str, materials: list[st
 
 
 def model_names() -> list[str]:
-    """Names of all models that the user has added."""
+    """Return the names of all models that the user has added."""
     return sorted(path.parent.name for path in models_folder().glob("*/vehicle.json"))
 
 

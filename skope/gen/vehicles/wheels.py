@@ -9,7 +9,7 @@ _WHEEL_SIDES = 20
 
 
 def wheel_mesh(radius: float, width: float, spokes: int, rim_share: float = 0.68) -> Mesh:
-    """A wheel about the y axis, its outer face at y = width / 2 (the left side of a vehicle)."""
+    """Return a wheel about the y axis, with its outer face at y = width / 2 (the left side of a vehicle)."""
     half, rim = width / 2, radius * rim_share
     tyre = lathe(
         [
@@ -33,10 +33,10 @@ def wheel_mesh(radius: float, width: float, spokes: int, rim_share: float = 0.68
 
 
 def _spokes(rim: float, half: float, count: int) -> Mesh:
-    """Spokes from the hub to the rim, their sides, and the hub's cap."""
+    """Return spokes from the hub to the rim, their sides, and the hub's cap."""
     face, edge, depth = half * 0.8, half * 0.88, 0.035
     pitch = 2 * np.pi / count
-    # Their ends stand in the barrel.
+    # The ends of the spokes are inside the barrel.
     inner, outer = 0.19 * rim, 1.012 * rim
     wide = min(0.42, 1.7 / count)
     corners = []
@@ -57,12 +57,12 @@ def _spokes(rim: float, half: float, count: int) -> Mesh:
 
 
 def _point_at_angle(radius: float, angle: float, y: float) -> Array:
-    """A point at an angle from the z axis, turning as y demands for fronts that face left."""
+    """Return the point at `radius` and `angle` from the z axis towards x, at `y` along the axle."""
     return np.array([radius * np.sin(angle), y, radius * np.cos(angle)])
 
 
 def steel_wheel(radius: float, width: float) -> Mesh:
-    """A commercial vehicle's wheel: a dished disc with holes and nuts around a hub."""
+    """Return a commercial vehicle's wheel: a dished disc with holes and nuts around a hub."""
     half, rim = width / 2, radius * 0.58
     tyre = lathe(
         [
@@ -104,7 +104,7 @@ def steel_wheel(radius: float, width: float) -> Mesh:
 
 
 def _turned_to_face_left(mesh: Mesh) -> Mesh:
-    """The mesh with all its triangles turned to face left."""
+    """Return the mesh with all its triangles facing left."""
     v = mesh.vertices[mesh.triangles]
     normal = cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])
     triangles = np.where((normal[:, 1] < 0)[:, None], mesh.triangles[:, ::-1], mesh.triangles)

@@ -1,5 +1,8 @@
-"""Bodies of lorries that work: fire engines with shutters and a ladder, refuse collectors with a hopper at the rear,
-hook lifts with containers, skip loaders, decks that carry cars."""
+"""Bodies of work vehicles.
+
+They are fire engines with shutters and a ladder, refuse collectors with a hopper at the rear, hook lifts with
+containers, skip loaders, and decks that carry cars.
+"""
 
 from dataclasses import dataclass
 from typing import Final
@@ -19,7 +22,7 @@ class WorkBodySizes:
     """Sizes of parts of work vehicles."""
 
     ladder_m: float = 0.3
-    """Height of the ladder over the roof, metres."""
+    """Height of the ladder above the roof, metres."""
     hopper_m: float = 1.55
     """Length of a hopper, metres."""
 
@@ -28,7 +31,7 @@ WORK_BODY_SIZES: Final = WorkBodySizes()
 
 
 def fire_body(space: CargoSpace) -> Cargo:
-    """A fire engine's body: shutters along the sides, a ladder on the roof, reflecting bands, lamps of its own."""
+    """Return a fire engine's body with side shutters, a roof ladder, reflective bands and lamps."""
     out = Cargo()
     floor, high = space.floor, space.shape.height - WORK_BODY_SIZES.ladder_m
     well = space.shape.track / 2 - space.shape.wheel_width * 1.7
@@ -53,7 +56,7 @@ def fire_body(space: CargoSpace) -> Cargo:
 
 
 def _draw_shutters(shell: Surface, space: CargoSpace, up: tuple[float, float], end: float) -> None:
-    """Draw three shutters along the side and one behind, between two heights, a band below, lamps above.
+    """Draw three shutters along the side and one at the rear, between two heights, a band below, lamps above.
 
     `end` is W of the middle of the rear.
     """
@@ -76,7 +79,7 @@ def _draw_shutters(shell: Surface, space: CargoSpace, up: tuple[float, float], e
 
 
 def _fire_roof(space: CargoSpace, high: float) -> list[Mesh]:
-    """A ladder over a roof `high` over the road, boxes beside it, blue lamps over the cab and behind."""
+    """Return a ladder over a roof at height `high`, boxes beside it, and blue lamps above the cab and at the rear."""
     out: list[Mesh] = []
     add = out.append
     top = space.shape.height
@@ -104,7 +107,7 @@ def _fire_roof(space: CargoSpace, high: float) -> list[Mesh]:
 
 
 def refuse_body(space: CargoSpace) -> Cargo:
-    """A compacting body with ribs, and behind it a hopper: cheeks, the bin's edge, the comb that lifts, steps."""
+    """Return a compacting body with ribs, and behind it a hopper with its lifting comb and steps."""
     rng, out = space.rng(), Cargo()
     add, half, floor = out.parts.append, space.half - 0.03, space.floor
     start, high = space.end + WORK_BODY_SIZES.hopper_m, space.shape.height - 0.12
@@ -124,9 +127,9 @@ def refuse_body(space: CargoSpace) -> Cargo:
 
 
 def _add_hopper(out: Cargo, space: CargoSpace, start: float, high: float) -> None:
-    """Add the hopper behind x = `start`, `high` over the road, and note the keypoints."""
+    """Add the hopper behind x = `start` with its top at height `high`, and record the keypoints."""
     add, half, floor = out.parts.append, space.half - 0.03, space.floor
-    # The hopper's outline from its roof down the back to the bin, and forward under it; the opening lies between.
+    # The hopper's outline from its roof down the rear to the bin, and forwards under it; the opening lies between.
     roof, lip = (space.end + 0.62, high), (space.end + 0.02, floor + 0.42)
     under = max(floor - 0.14, space.shape.taillight_high + 0.09)
     cheek = [(start, high), roof, (space.end + 0.2, floor + 1.35), lip, (space.end + 0.06, under), (start, under)]
@@ -167,9 +170,17 @@ def _add_hopper(out: Cargo, space: CargoSpace, start: float, high: float) -> Non
 def _add_refuse_fittings(
     out: Cargo, space: CargoSpace, roof: tuple[float, float], lip: tuple[float, float], under: float
 ) -> None:
-    """Add what a hopper has on its cheeks, between the roof's rear edge and the bin's `lip`, and below: x, z."""
+    """Add the parts on the cheeks of a hopper.
+
+    Args:
+        out: The body to add to.
+        space: The space behind the cab.
+        roof: Rear edge of the roof, x and z.
+        lip: Edge of the bin, x and z.
+        under: Height of the lower edge.
+    """
     add, half, floor, high = out.parts.append, space.half - 0.03, space.floor, roof[1]
-    # Hazard stripes and lamps on the cheeks, rails to hold on to, steps to stand on, the beacon.
+    # Hazard stripes and lamps on the cheeks, handrails, steps and the beacon.
     for k, z in enumerate(np.linspace(floor + 0.5, floor + 1.2, 6).tolist()):
         x = float(np.interp(z, [lip[1], floor + 1.35], [lip[0], space.end + 0.2]))
         add(
@@ -193,7 +204,7 @@ def _add_refuse_fittings(
 
 
 def hook_body(space: CargoSpace) -> Cargo:
-    """A container with ribs, open or closed above, on the rails of a hook lift whose arm stands behind the cab."""
+    """Return a container with ribs, open or closed, on the rails of a hook lift with its arm behind the cab."""
     rng, out = space.rng(), Cargo()
     add, half, low = out.parts.append, space.half - 0.04, space.floor + 0.2
     room = space.shape.height - low
@@ -246,7 +257,7 @@ def hook_body(space: CargoSpace) -> Cargo:
 
 
 def skip_body(space: CargoSpace) -> Cargo:
-    """A skip between the two arms that lift it, hung on chains, with rubble in it."""
+    """Return a skip with rubble, hung on chains between the two arms that lift it."""
     rng, out = space.rng(), Cargo()
     add, half, floor = out.parts.append, space.half - 0.05, space.floor
     front, low = space.ahead - 0.5, floor + 0.1
@@ -274,7 +285,7 @@ def skip_body(space: CargoSpace) -> Cargo:
         middle, reach = (base + stop) / 2, (stop - base) / 2 - 0.2
         heap = ((-1.0, 0.0), (-0.6, 0.7), (0.1, 1.0), (0.6, 0.6), (1.0, 0.0))
         add(barrel([(middle + reach * x, top, (wide - 0.1) * size**0.3, 0.3 * size) for x, size in heap], "soil"))
-    # The arms, bent over the skip, and the bar across between them; chains to the hull.
+    # The arms, bent over the skip, and the bar between them; chains to the hull.
     knee, hand = (
         (space.end + 1.1, half - 0.09, space.shape.height - 0.12),
         (front - 0.9, half - 0.09, space.shape.height - 0.25),
@@ -284,7 +295,7 @@ def skip_body(space: CargoSpace) -> Cargo:
     add(box((knee[0] - 0.08, 0.0, knee[2] - 0.08), (knee[0] + 0.08, half - 0.02, knee[2] + 0.1), "rail"))
     for x, z in ((base + 0.2, top - 0.1), (stop - 0.3, top - 0.1)):
         add(pipe((knee[0] + 0.3, half - 0.14, knee[2] - 0.02), (x, wide + 0.02, z), 0.02, "chrome", sides=6))
-    # Stabilisers, and the boxes over the rear axles.
+    # Stabilisers, and the boxes above the rear axles.
     add(box((space.end + 0.3, half - 0.3, 0.55), (space.end + 0.5, half - 0.08, floor), "rail"))
     out.parts += mudguards(space)
     out.mark(
@@ -296,7 +307,7 @@ def skip_body(space: CargoSpace) -> Cargo:
 
 
 def recovery_body(space: CargoSpace) -> Cargo:
-    """A deck that slides and tilts, low rails along it, a winch behind the cab, ramps and a bar of beacons."""
+    """Return a deck that slides and tilts, with low rails, a winch behind the cab, ramps and a bar of beacons."""
     out = Cargo()
     add, half, floor = out.parts.append, space.half - 0.02, space.floor
     front = space.ahead - 0.4
@@ -317,7 +328,7 @@ def recovery_body(space: CargoSpace) -> Cargo:
     add(pipe((front + 0.28, 0.0, floor + 0.3), (front + 0.28, 0.4, floor + 0.3), 0.16, "trim"))
     bar = space.ahead + 0.5 * space.shape.cab_length
     add(box((bar - 0.12, 0.0, space.cab_height - 0.08), (bar + 0.12, half - 0.35, space.shape.height), BEACON_COLOR))
-    # Ramps, folded up behind; boxes for tools below the deck.
+    # Ramps, folded up at the rear; boxes for tools below the deck.
     add(box((space.end + 0.01, 0.5, floor - 0.1), (space.end + 0.08, half - 0.08, floor + 0.1), "trim"))
     chest = space.rear_axle + space.shape.wheel_radius + 0.25
     add(block((chest, half - 0.5, floor - 0.5), (chest + 0.9, half - 0.02, floor), "livery", 0.02))

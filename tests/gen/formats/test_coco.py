@@ -54,7 +54,7 @@ def test_coco_returns_whole(skope: Any, ours: Path) -> None:
             assert {**first, "id": 0} == {**second, "id": 0, "split": "train" if split == "train" else "easy"}
             assert (ours / a.file_name).read_bytes() == (Path("back") / b.file_name).read_bytes()
     # The sample's one site is in both of its splits.
-    assert {finding.text for finding in check(back)} == {"site: site stands in split easy too"}
+    assert {finding.text for finding in check(back)} == {"site: site is also in split easy"}
 
 
 def test_pycocotools_reads_the_cvat_files(skope: Any, ours: Path) -> None:
@@ -124,10 +124,10 @@ def test_files_of_others_are_read_by_name(skope: Any) -> None:
     write_json(Path("in/labels.json"), document)
     code, out, err = skope(*FOREIGN)
     assert code == 0, err
-    assert "left out keypoints that are not of skope33: exhaust" in out
+    assert "left out keypoints that are not in skope33: exhaust" in out
     assert "2 of the 33 keypoints of skope33" in out
-    assert "warning: 1 annotation of person left out, without a keypoint of ours; first: " in err
-    assert "warning: 1 vehicle with keypoints called visible far outside of the box" in err
+    assert "warning: 1 annotation of person left out, without a keypoint of skope; first: " in err
+    assert "warning: 1 vehicle with keypoints marked visible far outside the box" in err
     assert "annotations[0]" in err
     file = open_dataset(Path("out")).read("train")
     assert [(i.file_name, i.site, i.camera) for i in file.images] == [("images/a 1.png", None, None)]
@@ -228,13 +228,13 @@ def change(*path: Any, to: Any) -> Callable[[dict[str, Any]], None]:
     [
         (change("categories", to=None), "field categories is missing or not a list of objects"),
         (change("categories", 1, "id", to=[4]), "categories[1]: id: expected a whole number, got [4]"),
-        (change("categories", 1, "id", to=3), "field categories: two have the same id"),
+        (change("categories", 1, "id", to=3), "field categories: duplicate id"),
         (change("images", 0, "id", to="5"), "images[0]: id: expected a whole number, got '5'"),
         (change("annotations", 0, "category_id", to=None), "annotations[0]: category_id: expected a whole number"),
         (change("categories", 1, "keypoints", to=7), "no keypoint has a name of skope33: it has none"),
         (change("annotations", to=[3]), "field annotations is missing or not a list of objects"),
         (change("categories", 1, "keypoints", to=["a", "b", "c"]), "no keypoint has a name of skope33"),
-        (change("categories", 1, "keypoints", to=["mirror_left"] * 3), "category 'car' has a keypoint twice"),
+        (change("categories", 1, "keypoints", to=["mirror_left"] * 3), "category 'car' has a duplicate keypoint"),
         (change("annotations", 0, "keypoints", to=[1, 2, 2]), "annotations[0]: keypoints: expected 3 x 3 numbers"),
         (change("annotations", 0, "keypoints", to=["x"] * 9), "annotations[0]: keypoints: expected numbers"),
         (change("annotations", 0, "keypoints", 2, to=5), "annotations[0]: keypoints: v is 0, 1 or 2"),
@@ -245,7 +245,7 @@ def change(*path: Any, to: Any) -> Callable[[dict[str, Any]], None]:
         (change("images", 0, "file_name", to="../../etc/passwd"), "images[0]: file_name: no ../../etc/passwd in"),
         (change("images", 0, "file_name", to="b.png"), "images[0]: file_name: no b.png in in/frames"),
         (change("images", 0, "file_name", to="."), "images[0]: file_name: no . in in/frames"),
-        (lambda d: d["images"].append({**d["images"][0], "id": 6}), "images[1]: file_name: a 1.png stands twice"),
+        (lambda d: d["images"].append({**d["images"][0], "id": 6}), "images[1]: file_name: a 1.png is a duplicate"),
         (lambda d: (d.update(info=keypoints.SKOPE33.fields()), d["images"][0].update(camera=None, site=None),
                     d["annotations"][0].update(color=None, box_3d="x")),
          "annotations[0]: box_3d: expected an object with center"),

@@ -60,8 +60,8 @@ def test_yolo_rows_say_what_the_labels_say(skope: Any, ours: Path) -> None:
     assert (code, err.count("Error")) == (0, 0)
     ignored = [vehicle for split in ("train", "easy") for vehicle in open_dataset(ours).read(split).annotations]
     ignored = [vehicle.ignore_reason for vehicle in ignored if vehicle.ignored]
-    assert f"1 ignored vehicle beside 23 others: background here (1 {ignored[0]})" in out
-    assert "val, the end of train's recordings: 1 image; left out, as too alike to both: 1" in out
+    assert f"1 ignored vehicle in addition to 23 others: background here (1 {ignored[0]})" in out
+    assert "val, the end of train's recordings: 1 image; left out, too similar to both: 1" in out
     told = yolo_yaml(Path("there"))
     assert (told["train"], told["val"], told["test"]) == ("images/train", "images/val", ["images/easy"])
     assert told["kpt_shape"] == ["33", "3"]
@@ -99,7 +99,10 @@ def test_yolo_takes_some_keypoints(skope: Any, ours: Path) -> None:
     assert np.abs(row[5:].reshape(3, 3) * [image.width, image.height, 1] - wanted).max() < 1e-3
     code, out, _ = skope("gen", "convert", "ours", "half", "--to", "yolo", "--keypoints", "wheel_front_left")
     assert (code, "no flip_idx" in out, "flip_idx" in yolo_yaml(Path("half"))) == (0, True, False)
-    for names, said in (("wheel", "--keypoints: 'wheel' is no keypoint"), ("front_logo,front_logo", "stands twice")):
+    for names, said in (
+        ("wheel", "--keypoints: 'wheel' is not a keypoint"),
+        ("front_logo,front_logo", "is listed twice"),
+    ):
         code, _, err = skope("gen", "convert", "ours", "new", "--to", "yolo", "--keypoints", names, "-q")
         assert (code, said in err, Path("new").exists()) == (2, True, False)
 
@@ -113,7 +116,7 @@ def test_yolo_labels_of_two_images_are_not_written_to_one_file(skope: Any) -> No
     second_now = replace(file.images[1], file_name=first.with_suffix(".PNG").relative_to(root).as_posix())
     coco.write(path, replace(file, images=(file.images[0], second_now)))
     code, _, err = skope("gen", "convert", "ours", "new", "--to", "yolo", "-q")
-    assert (code, "another image has this name but for its suffix" in err, Path("new").exists()) == (2, True, False)
+    assert (code, "another image has this name with another suffix" in err, Path("new").exists()) == (2, True, False)
 
 
 def test_yolo_needs_something_to_learn_and_validate(skope: Any) -> None:
@@ -284,18 +287,18 @@ def test_exports_share_the_images_of_the_dataset(skope: Any, ours: Path) -> None
         assert skope("gen", "convert", "ours", form, "--to", form, "-q")[0] == 0
     image = ours / open_dataset(ours).read("easy").images[0].file_name
     assert image.stat().st_nlink == 4
-    assert {finding.text for finding in check(open_dataset(ours))} == {"site: site stands in split easy too"}
+    assert {finding.text for finding in check(open_dataset(ours))} == {"site: site is also in split easy"}
 
 
 @pytest.mark.parametrize(
     ("card", "manifest", "said"),
     [
-        ({}, None, "manifest.json: no such file: only what `skope gen` made can be converted"),
+        ({}, None, "manifest.json: no such file: only datasets made by `skope gen` can be converted"),
         ({}, {}, "dataset.json: takes, parameters: missing"),
         (
             {"takes": [["site", "00", "train", 13]], "parameters": hostile.parameters()},
             None,
-            "train: has fewer images than its card says",
+            "train: has fewer images than its card states",
         ),
         (
             {"takes": [["site", "00", "train", 13]], "parameters": {**hostile.parameters(), "rules": {}}},

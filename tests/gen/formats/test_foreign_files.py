@@ -147,7 +147,7 @@ def test_classes_that_become_one_are_told(skope: Any) -> None:
     write(Path("in"), NUMBERED, categories=classes)
     said = convert(skope, "in", "out", *COCO, "-q")
     assert "warning" in said
-    assert "of classes car, lorry only `vehicle` is left" in said
+    assert "classes car, lorry become `vehicle`" in said
     write(Path("single"), NUMBERED, categories=[category(1, "car")])
     assert "warning" not in convert(skope, "single", "there", *COCO)
 
@@ -199,15 +199,15 @@ def test_points_and_boxes_that_cannot_be_are_told(skope: Any) -> None:
 
     write(Path("in"), NUMBERED, change=spoil)
     said = convert(skope, "in", "out", *COCO, "-q")
-    assert "warning: 1 vehicle with keypoints at 0, 0, far from the box: they are taken as unlabelled" in said
-    assert "warning: 1 vehicle with keypoints called visible far outside of the box" in said
+    assert "warning: 1 vehicle with keypoints at 0, 0, far from the box: read as unlabelled" in said
+    assert "warning: 1 vehicle with keypoints marked visible far outside the box" in said
     assert "warning: 1 vehicle left out, without area inside the image" in said
     assert said.count("annotations[0]") == said.count("annotations[1]") == said.count("annotations[2]") == 1
     one, two = train("out").annotations
     assert (one.num_keypoints, two.num_keypoints) == (31, 33)
     code, out, _ = skope("gen", "check", "out")
     assert code == 1
-    assert "point 0 is called visible at 150, 80, far outside of its vehicle's box" in out
+    assert "point 0 is marked visible at 150, 80, far outside its vehicle's box" in out
     path = Path("out/annotations/train.json")
     path.write_text(path.read_text().replace('"bbox":[40.0,30.0,60.0,40.0]', '"bbox":[40.0,30.0,60.0,0.0]', 1))
     assert "bbox: has no area: width 60, height 0" in skope("gen", "check", "out")[1]
@@ -277,7 +277,7 @@ def test_frames_come_in_the_order_of_their_numbers(skope: Any, listed: str) -> N
     if listed != "sorted":
         names = names[::-1] if listed == "reversed" else [names[i] for i in np.random.default_rng(0).permutation(12)]
     write(Path("in"), names)
-    assert "12 numbered images taken for the frames of 1 recording" in convert(skope, "in", "out", *COCO)
+    assert "12 numbered images read as the frames of 1 recording" in convert(skope, "in", "out", *COCO)
     (film,) = recordings(train("out"))
     assert [image.file_name for image in film] == [f"images/{i}.jpg" for i in range(1, 13)]
 
@@ -314,7 +314,7 @@ def test_splits_by_folders_stay_apart(skope: Any, form: str) -> None:
     data = open_dataset(Path("out"))
     counts = {split: len(data.read(split).images) for split in data.splits}
     assert counts == ({"val": 2} if form == "one" else {"train": 4, "val": 2, "test": 2})
-    assert "valid/_annotations.coco.json: split val, as its folder is called (--split gives another)" in said
+    assert "valid/_annotations.coco.json: split val, from the name of its folder (--split overrides it)" in said
     assert "/test" not in str(data.card)
 
 
@@ -325,7 +325,7 @@ def test_subsets_of_cvat_are_our_splits(skope: Any) -> None:
     said = convert(skope, "in", "out", "--from", "cvat")
     data = open_dataset(Path("out"))
     assert data.splits == ("test", "train", "val")
-    assert "split val, as we call Validation" in said
+    assert "split val, from the name Validation" in said
     for subset, split in (("Train", "train"), ("Validation", "val"), ("Test", "test")):
         image = data.image(data.read(split).images[0])
         assert np.array_equal(image, read_image(Path(f"in/images/{subset}/j.jpg")))
@@ -353,7 +353,7 @@ def test_pictures_are_found_in_a_folder_that_is_named(skope: Any, stated: str) -
     assert [Path(image.file_name).name for image in data.read("train").images] == NUMBERED
     for image, name in zip(data.read("train").images, NUMBERED, strict=True):
         assert np.array_equal(data.image(image), read_image(Path("in/images") / name))
-    assert ("warning: 3 images found by the end of its name" in said) == (stated not in ("{}", "./{}"))
+    assert ("warning: 3 images found by the end of the name" in said) == (stated not in ("{}", "./{}"))
 
 
 def test_without_that_folder_the_way_out_is_told(skope: Any) -> None:
@@ -362,7 +362,7 @@ def test_without_that_folder_the_way_out_is_told(skope: Any) -> None:
         made["images"][0]["file_name"] = stated
         save(Path("in/annotations/train.json"), made)
         said = convert(skope, "in", "out", *COCO, code=2)
-        assert "is no path inside a folder; say with --images where the images lie" in said
+        assert "is not a path inside a folder; give the folder of the images with --images" in said
     # A backslash alone is no way out of anything.
     made["images"][0]["file_name"] = "images\\000001.jpg"
     save(Path("in/annotations/train.json"), made)
@@ -374,7 +374,7 @@ def test_ends_of_names_may_not_mean_one_picture(skope: Any) -> None:
     made["images"][0]["file_name"], made["images"][1]["file_name"] = "/a/000001.jpg", "/b/000001.jpg"
     save(Path("in/annotations/train.json"), made)
     said = convert(skope, "in", "out", *COCO, "--images", "in/images", code=2)
-    assert "images[1]: file_name: /b/000001.jpg stands twice (000001.jpg is /a/000001.jpg too)" in said
+    assert "images[1]: file_name: /b/000001.jpg is a duplicate (000001.jpg is /a/000001.jpg too)" in said
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -540,12 +540,12 @@ def test_orientations_are_told_and_the_other_reading_offered(skope: Any) -> None
     write(Path("in"), NUMBERED)
     save(Path("in/images/000001.jpg"), oriented(jpeg(), 3))
     said = convert(skope, "in", "out", *COCO, "-q")
-    assert "warning: 1 picture to be turned (EXIF): labels are taken as those of the picture as shown" in said
+    assert "warning: 1 picture rotated by EXIF: labels are read in the pixels of the picture as shown" in said
     assert "--stored-pixels" in said
     save(Path("in/images/000002.jpg"), oriented(jpeg(), 6))
     said = convert(skope, "in", "there", *COCO, code=2)
-    assert "images[1]: width, height: 160x90 is the picture as stored" in said
-    assert "read the file with --stored-pixels" in said
+    assert "images[1]: width, height: 160x90 is the size of the image as stored" in said
+    assert "import the file with --stored-pixels" in said
     convert(skope, "in", "there", *COCO, "--stored-pixels")
     assert skope("gen", "check", "there")[0] == 0
 
@@ -554,7 +554,7 @@ def test_the_size_of_a_picture_is_held_against_the_file(skope: Any) -> None:
     write(Path("in"), NUMBERED)
     save(Path("in/images/000003.jpg"), jpeg(0, (320, 180)))
     said = convert(skope, "in", "out", *COCO, "-q")
-    assert "warning: 1 picture of another size than the file says" in said
+    assert "warning: 1 picture of another size than the file states" in said
     assert "images[2]" in said
 
 
@@ -637,7 +637,7 @@ def test_labels_lie_where_ultralytics_looks(skope: Any) -> None:
 def test_pictures_that_ultralytics_does_not_read_are_named(skope: Any) -> None:
     write(Path("in"), [f"{i}.gif" for i in range(1, 13)])
     said = convert(skope, "in", "yolo", *COCO, "--to", "yolo", code=2)
-    assert "Ultralytics reads no .gif" in said
+    assert "Ultralytics does not read .gif" in said
 
 
 def test_sequences_of_like_names_stay_apart(skope: Any) -> None:

@@ -115,7 +115,7 @@ def test_what_is_there_twice_is_told(skope: Any) -> None:
     assert skope("gen", "merge", "a", "b", "both", "-q")[0] == 0
     code, out, _ = skope("gen", "merge", "b", "both", "out")
     assert code == 0
-    assert "both: 1 recordings show the same as recordings of b: they are there twice" in out
+    assert "both: 1 recordings are duplicates of recordings of b" in out
     assert " of a: " not in out
     code, out, _ = skope("gen", "merge", "a", "b", "other")
     assert (code, "twice" in out) == (0, False)
@@ -143,12 +143,12 @@ def test_the_folder_one_stands_in_can_be_joined(skope: Any, monkeypatch: pytest.
     ("make", "said"),
     [
         (lambda: dataset("b", CC0, {"easy": "bridge"}), "site bridge is in split easy, and in train of a"),
-        (lambda: dataset("b", CC0, {"easy": "x"}), "is in split easy, the same image in train of a: what is tested"),
+        (lambda: dataset("b", CC0, {"easy": "x"}), "is in split easy, the same image in train of a: test images"),
         (lambda: dataset("b", CC0, {"train": "x"}, scheme=PUBLISHED), "b: has keypoint scheme skope3d, a has skope33"),
         (lambda: dataset("b", ND, {"train": "x"}), f"licence: '{ND}' does not allow to be joined with '{BY}'"),
         (lambda: Path("b").mkdir(), "b: no dataset.json in it"),
         (lambda: (dataset("b", BY, {"train": "x"}) / "annotations" / "train.json").unlink(), "b: has no annotations"),
-        (lambda: Path("b").symlink_to("a"), "a dataset is named twice"),
+        (lambda: Path("b").symlink_to("a"), "a dataset is listed twice"),
     ],
 )
 def test_what_does_not_go_together_is_refused(skope: Any, make: Callable[[], object], said: str) -> None:
@@ -220,5 +220,5 @@ def test_nothing_is_written_into_a_source(skope: Any, command: str) -> None:
     before = sorted(Path().rglob("*"))
     code, _, err = skope("gen", *command.split())
     assert (code, err.count("\n")) == (2, 1)
-    assert re.search(r"(.)/sub: is inside \1, which is left as it is; choose another folder", err)
+    assert re.search(r"(.)/sub: is inside \1, which must not change; choose another folder", err)
     assert sorted(Path().rglob("*")) == before

@@ -65,12 +65,12 @@ def test_coco_goes_out_and_comes_back(skope: Any, ours: Path, capsys: pytest.Cap
         **{1: 24, 2: 12, 3: 12, 4: 12}
     }
     out = convert(skope, "there", "back", "--from", "coco")
-    assert "taken for ours" not in out  # it is
+    assert "read as categories of skope" not in out  # it is
     for split in ("train", "easy"):
         same_users(open_dataset(ours).read(split), open_dataset(Path("back")).read(split))
     assert open_dataset(Path("back")).categories == schema.CATEGORY_NAMES
     found = [str(finding) for finding in check(open_dataset(Path("back")))]
-    assert [text for text in found if "site: site stands in split" not in text] == []
+    assert [text for text in found if "site: site is also in split" not in text] == []
     capsys.readouterr()
 
 
@@ -90,8 +90,8 @@ def test_somebody_elses_categories_of_our_names_are_read_and_it_is_said(skope: A
         write_json(path, document)
     code, out, err = skope("gen", "convert", "there", "back", "--from", "coco")
     assert code == 0
-    assert "taken for ours, without keypoints: bicycle, motorcycle, pedestrian" in out
-    assert "of tram left out, without a keypoint of ours" in out + err
+    assert "read as categories of skope, without keypoints: bicycle, motorcycle, pedestrian" in out
+    assert "of tram left out, without a keypoint of skope" in out + err
     back = open_dataset(Path("back")).read("train")
     assert Counter(user.category for user in back.road_users) == dict.fromkeys(KINDS, 12)
     assert all(user.track_id is None for user in back.road_users)  # what is theirs need not mean what ours does
@@ -106,7 +106,9 @@ def test_files_that_label_different_categories_are_not_mixed(skope: Any, ours: P
     write_json(path, document)
     code, _, err = skope("gen", "convert", "there", "back", "--from", "coco", "-q")
     assert code == 2
-    assert "categories: labels vehicle, bicycle, motorcycle, pedestrian, the others vehicle: read them apart" in err
+    assert (
+        "categories: labels vehicle, bicycle, motorcycle, pedestrian, the others vehicle: import them separately" in err
+    )
 
 
 def test_cvat_has_rectangles(skope: Any, ours: Path) -> None:
@@ -130,7 +132,7 @@ def test_cvat_has_rectangles(skope: Any, ours: Path) -> None:
         del document["info"]
         write_json(path, document)
     out = convert(skope, "there", "back", "--from", "cvat")
-    assert "taken for ours, without keypoints: bicycle, motorcycle, pedestrian" in out
+    assert "read as categories of skope, without keypoints: bicycle, motorcycle, pedestrian" in out
     same_users(open_dataset(ours).read("train"), open_dataset(Path("back")).read("train"))
     convert(skope, "there.zip", "again", "--from", "cvat", "-q")
     same_users(open_dataset(ours).read("easy"), open_dataset(Path("again")).read("easy"))
@@ -143,7 +145,7 @@ def test_cvat_has_rectangles(skope: Any, ours: Path) -> None:
 def test_yolo_has_classes_whose_points_are_not_labelled(skope: Any, ours: Path) -> None:
     out = convert(skope, "ours", "there", "--to", "yolo")
     # One image is left out between the ends of the recordings for training and what they are validated on.
-    assert "23 ignored road users beside 92 others: background here (23 small)" in out
+    assert "23 ignored road users in addition to 92 others: background here (23 small)" in out
     lines = Path("there/data.yaml").read_text().splitlines()
     start = lines.index("names:")
     assert lines[start + 1 : start + 5] == ["  0: vehicle", "  1: bicycle", "  2: motorcycle", "  3: pedestrian"]
@@ -211,7 +213,7 @@ def test_mot_has_classes_and_their_names(skope: Any, ours: Path) -> None:
 def test_the_published_layout_has_vehicles_alone_and_says_so(skope: Any) -> None:
     make_dataset(Path("ours"), images=12, splits=("train",), road_users=True)
     out = convert(skope, "ours", "there", "--to", "skope3d")
-    assert "36 people on foot and on two wheels are left out: this format has vehicles alone" in out
+    assert "36 people on foot and on two wheels are left out: this format has only vehicles" in out
     convert(skope, "there", "back", "--from", "skope3d", "-q")
     back = open_dataset(Path("back"))
     assert (back.categories, len(back.read("train").annotations)) == (("vehicle",), 24)

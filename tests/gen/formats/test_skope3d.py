@@ -86,7 +86,7 @@ def test_a_published_scene_is_read_exactly(skope: Any, members: Members) -> None
         "scene_5": {"images": 2, "ground_truth": 1, "ignored": 0}
     }
     # The points of this scene are strewn about.
-    assert {str(finding).rpartition(", ")[2] for finding in check(data)} == {"far outside of its vehicle's box"}
+    assert {str(finding).rpartition(", ")[2] for finding in check(data)} == {"far outside its vehicle's box"}
 
 
 def test_frames_may_be_counted_from_one(skope: Any, members: Members) -> None:
@@ -133,10 +133,10 @@ def test_points_are_mapped_by_name(skope: Any, members: Members) -> None:
     [
         ([], "map.json: expected an object like"),
         ({"skope3d_33": "front_logo"}, "'skope3d_33' is not one of skope3d_00 to skope3d_32"),
-        ({"skope3d_16": "wheel"}, "skope3d_16: 'wheel' is no keypoint of skope33"),
-        ({"skope3d_16": ["wheel"]}, "skope3d_16: ['wheel'] is no keypoint of skope33"),
+        ({"skope3d_16": "wheel"}, "skope3d_16: 'wheel' is not a keypoint of skope33"),
+        ({"skope3d_16": ["wheel"]}, "skope3d_16: ['wheel'] is not a keypoint of skope33"),
         ({"skope3d_00": "roof_rear_left"}, "skope3d_00: is roof_front_right, not roof_rear_left"),
-        ({"skope3d_04": "mirror_left", "skope3d_05": "mirror_left"}, "mirror_left stands for two points"),
+        ({"skope3d_04": "mirror_left", "skope3d_05": "mirror_left"}, "two points are mapped to mirror_left"),
     ],
 )
 def test_a_wrong_map_is_told(skope: Any, members: Members, table: Any, said: str) -> None:
@@ -218,7 +218,7 @@ def test_an_archive_that_is_none_is_told(skope: Any, members: Members) -> None:
         assert said in err
         assert not Path("out").exists()
 
-    refused(data[: len(data) // 2], "scene_5.zip: a zip archive without its end, so truncated")
+    refused(data[: len(data) // 2], "scene_5.zip: a truncated zip archive (its end is missing)")
     refused(b"hello", "scene_5.zip: not a zip archive")
     at = data.index(KEYPOINT.encode()) + 20
     refused(data[:at] + b"9" + data[at + 1 :], f"member {K0}: cannot be unpacked: Bad CRC-32")
@@ -246,13 +246,13 @@ def test_bombs_links_and_twins_are_refused(tmp_path: Path) -> None:
         with pytest.raises(UserError, match=said), source_files.opened(path):
             pass
 
-    refused(archived((zipfile.ZipInfo("scene_1/original.avi"), bytes(8 << 20))), "would unpack to 8388608: refused")
+    refused(archived((zipfile.ZipInfo("scene_1/original.avi"), bytes(8 << 20))), "would unpack to 8388608: rejected")
     link = zipfile.ZipInfo("scene_1/original.avi")
     link.external_attr = 0o120777 << 16
     refused(archived((link, b"/etc/passwd")), "is a link")
     with pytest.warns(UserWarning, match="Duplicate name"):
         twins = archived((zipfile.ZipInfo("a/b"), b"1"), (zipfile.ZipInfo("a/b"), b"2"))
-    refused(twins, "a/b stands twice")
+    refused(twins, "a/b is a duplicate")
     secret = bytearray(archived((zipfile.ZipInfo("a/b"), b"1")))
     secret[secret.index(b"PK\x01\x02") + 8] |= 1
     refused(bytes(secret), "is encrypted")
@@ -298,11 +298,11 @@ def test_out_must_be_empty_and_flags_must_fit(skope: Any) -> None:
     make_dataset(Path("ours"))
     for arguments, said in (
         (("ours", "ours", "--to", "skope3d"), "ours: holds other files than these; choose another folder"),
-        (("ours", "new"), "say --to which format, or --from which one"),
+        (("ours", "new"), "expected --to or --from with a format"),
         (("ours", "new", "--to", "pascal"), "--to: 'pascal' is not one of folder, shards"),
         (("ours", "new", "--from", "pascal"), "--from: 'pascal' is not one of"),
         (("ours", "ours", "new", "--to", "skope3d"), "expected one dataset folder and a new folder, got 2"),
-        (("ours", "new", "--from", "coco", "--to", "shards"), "--to shards: is for what `skope gen` made"),
+        (("ours", "new", "--from", "coco", "--to", "shards"), "--to shards: only for datasets made by `skope gen`"),
         (("ours", "new", "--to", "yolo", "--images", "ours"), "--images is for --from coco, --from cvat"),
         (("ours", "new", "--from", "skope3d", "--split", "../train"), "--split: expected letters, digits"),
         (("new", "--to", "skope3d"), "new: name what to read and then the new folder"),

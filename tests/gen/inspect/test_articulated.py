@@ -32,7 +32,7 @@ def test_a_sound_lorry_has_no_findings(bend_deg: float) -> None:
 
 def test_an_angle_that_the_rear_wheels_contradict_is_found() -> None:
     (text,) = label_checks.keypoint_3d_findings(replace(lorry(35.0), articulation=-0.3))
-    assert text.startswith("articulation: is -0.3000, the rear wheels of keypoints_3d say 0.6109")
+    assert text.startswith("articulation: -0.3000, expected 0.6109 from the wheels of keypoints_3d")
 
 
 def test_rear_wheels_are_tested_beside_the_trailers_axle() -> None:

@@ -123,10 +123,10 @@ def spoilt(root: Path, row_of: int, **changes: object) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"bbox": [470, 10, 40, 40]}, "bbox: reaches out of the image"),
-        ({"area": 1}, "segmentation: has "),
+        ({"bbox": [470, 10, 40, 40]}, "bbox: extends outside the image"),
+        ({"area": 1}, "segmentation: "),
         ({"num_keypoints": 3}, "num_keypoints: is 3, 0 are labelled"),
-        ({"distance": 3.0}, "distance: is 3.00 m, the box's centre is "),
+        ({"distance": 3.0}, "distance: 3.00 m, but the box's centre is "),
         ({"iscrowd": 1, "ignore_reason": None}, "ignore_reason: missing on an ignored pedestrian"),
         ({"category_id": 2}, "counts.by_category."),
         ({"id": 1}, "id 1 stands twice"),
@@ -185,7 +185,9 @@ def test_a_label_that_differs_is_told(made: Path, tmp_path: Path) -> None:
     assert any("road users are ignored in one" in line for line in told)
     assert any("boxes differ by up to" in line for line in told)
     spoilt(root, 4, track_id=99999)
-    assert any("frames hold other pedestrians" in line for line in differences(open_dataset(made), open_dataset(root)))
+    assert any(
+        "frames have different pedestrians" in line for line in differences(open_dataset(made), open_dataset(root))
+    )
 
 
 # ------------------------------------------------------------------------------------------------------------- presets

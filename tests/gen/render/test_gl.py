@@ -180,7 +180,7 @@ def test_without_egl_the_fallback_is_taken_and_gl_is_refused(tmp_path: Path) -> 
     assert refused.stderr.count("\n") == 1
     taken = run()
     assert taken.returncode == 0, taken.stderr
-    assert "renderer pybullet, which is plainer, because" in taken.stdout
+    assert "renderer pybullet (simpler images), because" in taken.stdout
 
 
 def test_auto_is_gl_where_egl_is_to_be_had() -> None:

@@ -1,1 +1,1 @@
-"""The OpenGL renderer: moderngl through EGL, the same code on Mesa's llvmpipe and on a GPU."""
+"""OpenGL renderer: moderngl through EGL, with the same code on Mesa's llvmpipe and on a GPU."""

@@ -1,5 +1,7 @@
-"""The scenery as one camera sees it: what frames need of everything that does not move. A photograph of the empty road
-may take the place of lit scenery; vehicles get the light that fits into it."""
+"""Background of one camera: everything that frames need from the stationary scenery.
+
+A photograph of the empty road can replace the lit scenery. Vehicles then get light that matches the photograph.
+"""
 
 import hashlib
 import json
@@ -42,36 +44,36 @@ from skope.gen.towns.town import OwnRoad, Town
 from skope.types import Array
 
 _ROAD_ALBEDO: Final = linear(np.array(MATERIAL_COLORS["asphalt_worn"]))
-"""(3,) share of the light that a road returns."""
+"""(3,) share of the light that a road reflects."""
 
 
 @dataclass(frozen=True)
 class BackgroundSampling:
-    """Resolution of the background and its measurements."""
+    """Resolution of the background and of measurements on it."""
 
     measured_within_m: float = 80.0
-    """Distance from the camera up to which the photograph's road is measured, metres."""
+    """Distance from the camera within which the road in the photograph is measured, metres."""
     curve_stops: tuple[float, float] = (-16.0, 4.0)
-    """Range of the light that the camera's curve is tabulated for, powers of two."""
+    """Range of light for which the camera's curve is tabulated, powers of two."""
     table_steps: int = 4096
-    """Entries of the camera's curve."""
+    """Number of entries of the camera's curve."""
     tint_limits: tuple[float, float] = (0.6, 1.6)
-    """Largest distance of the light's colour from that of the hour."""
+    """Minimum and maximum factor per channel between the colour of the light and that of the hour."""
     vehicle_scale: int = 2
-    """Samples per pixel and axis of the vehicles' picture, and of the depth that hides it."""
+    """Samples per pixel and axis of the vehicles' image, and of the depth that hides it."""
     mirror_px: int = 128
     """Border of the mirrored image, pixels."""
     light_parts: int = 4
-    """Number of parts of the light's samples, for workers to share."""
+    """Number of parts into which the light samples are divided among workers without a GPU."""
 
 
 BACKGROUND_SAMPLING: Final = BackgroundSampling()
 
 
 def fitted_to_photograph(device: Device, daylight: Daylight, road: OwnRoad) -> Daylight:
-    """Daylight whose colour and exposure give the road the brightness that it has in the photograph.
+    """Return daylight that gives the road the brightness that it has in the photograph.
 
-    Where the photograph shows no road nearby, its whole lower half counts as one.
+    If the photograph shows no road nearby, its whole lower half is used.
     """
     picture = road.picture((road.camera.width, road.camera.height))
     seen = light_of(device, picture[_road_pixels(road)])
@@ -90,10 +92,10 @@ def fitted_to_photograph(device: Device, daylight: Daylight, road: OwnRoad) -> D
 
 
 def light_in_photograph(device: Device, recording: Recording, daylight: Daylight) -> tuple[Any, Any]:
-    """Textures of the photograph's light from sky and sun: as much from each as level ground has under that daylight.
+    """Return two textures: the photograph's light from the sky and from the sun.
 
-    Together they show the photograph; where a vehicle takes the sun, what the sky gives is left. In the photograph's
-    own shadows all of it is the sky's.
+    The shares are those of level ground under the same daylight, and their sum is the photograph. If a vehicle blocks
+    the sun, the sky's part remains. In the photograph's own shadows all light is the sky's.
     """
     assert recording.photograph is not None
     assert recording.town.road is not None
@@ -107,7 +109,7 @@ def light_in_photograph(device: Device, recording: Recording, daylight: Daylight
 
 
 def draw_photographed_shadows(stage: Stage, target: Any, clip: Array, recording: Recording, daylight: Daylight) -> None:
-    """The depth buffer of what throws the photograph's own shadows onto vehicles."""
+    """Draw the depth buffer of the objects that cast the photograph's own shadows onto vehicles."""
     assert recording.town.road is not None
     high = plates(recording.town.road, daylight.sun_direction)
     if high is None:
@@ -117,7 +119,7 @@ def draw_photographed_shadows(stage: Stage, target: Any, clip: Array, recording:
 
 
 def _shadow_mask(road: OwnRoad, camera: Camera) -> Array:
-    """(H, W) share of each pixel of a camera at the place's own that lies in the photograph's shadows."""
+    """Return the share (H, W) of each pixel in the photograph's shadows, for a camera at the same place."""
     out = np.zeros((camera.height, camera.width), dtype=np.uint8)
     for outline in road.shades:
         fine = shapely.get_coordinates(shapely.segmentize(shapely.Polygon(outline), road.camera.width / 50))
@@ -129,13 +131,13 @@ def _shadow_mask(road: OwnRoad, camera: Camera) -> Array:
 
 
 def light_of(device: Device, rgb: NDArray[np.uint8]) -> Array:
-    """(..., 3) exposed light, before the camera's curve, that is shown as these colours."""
+    """Return the exposed light (..., 3), before the camera's curve, that gives these colours."""
     return _inverse_curve(device)[rgb]
 
 
 @cache
 def _inverse_curve(device: Device) -> Array:
-    """(256,) light for each value of a picture: the shaders' own curve, turned round."""
+    """Return the light (256,) for each value of an image: the inverse of the shaders' curve."""
     program = device.program("screen.vert.glsl", "curve.frag.glsl")
     target = device.target((BACKGROUND_SAMPLING.table_steps, 1), ["4f4"], depth=False)
     low, high = BACKGROUND_SAMPLING.curve_stops
@@ -151,7 +153,7 @@ def _inverse_curve(device: Device) -> Array:
 
 
 def _road_pixels(road: OwnRoad) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of pixels, some in each direction, that show the carriageway."""
+    """Return rows and columns of a grid of pixels that show the carriageway."""
     camera, graph = road.camera, RoadGraph.of(Town.of(road))
     step = max(1, camera.width // 320)
     rows, columns = (at.ravel() for at in np.mgrid[0 : camera.height : step, 0 : camera.width : step])
@@ -172,7 +174,7 @@ _LIGHT_CONDITIONS: Final = (
     "sun_elevation_deg", "sun_azimuth_deg", "clouds", "wetness", "puddles",
     "street_lighting", "street_light_k", "street_lights_lit", "lit_windows", "infrared", "snow_cover",
 )  # fmt: skip
-"""Conditions that the scenery's light depends on."""
+"""Conditions that affect the scenery's light."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,27 +190,30 @@ class Background:
     slope: NDArray[np.float32]
     ids: NDArray[np.int32]
     textures: dict[str, Any]
-    """Textures by the name of the uniform that programs sample them with."""
+    """Textures by the name of the uniform with which programs sample them."""
     mirrored_depth: Any
-    """Texture of the depth of what wet ground mirrors, half as fine as the image; None where it is dry."""
+    """Depth texture of the mirror image on wet ground, at half the image's resolution; None if the ground is dry."""
     water: NDArray[np.float16] | None
     """(H, W) share of light that water on the ground mirrors."""
     uniforms: dict[str, Any]
     """Values of further uniforms, by name."""
 
     def bind(self) -> dict[str, Any]:
-        """Put the textures into their places, the device's first; returns the uniforms that belong to them."""
+        """Bind the textures, the device's first; return the uniforms that belong to them."""
         for unit, texture in enumerate(self.textures.values()):
             texture.use(unit)
         return {**self.uniforms, **{name: unit for unit, name in enumerate(self.textures)}}
 
 
 def light_the_scenery(device: Device, recording: Recording, on_light: Callable[[], None]) -> Background:
-    """Work out the light of a recording's scenery, or find it in the cache; `on_light` is called before the former."""
+    """Compute the light of a recording's scenery, or load it from the cache.
+
+    `on_light` is called before a computation.
+    """
     camera, town, conditions = recording.camera, scenery(recording.town), recording.conditions
     daylight = Daylight.of(conditions)
     if recording.town.road and recording.town.road.photograph:
-        # The photograph's own wet road is in it already.
+        # The photograph already contains its own wet road.
         conditions = replace(conditions, wetness=0.0, puddles=0.0)
         daylight = fitted_to_photograph(device, daylight, recording.town.road)
     size = (camera.width, camera.height)
@@ -265,9 +270,9 @@ def light_the_scenery(device: Device, recording: Recording, on_light: Callable[[
 
 
 def _cached_light(stage: Stage, road: Plane | None, digest: str, on_light: Callable[[], None]) -> Arrays:
-    """The light of the scenery, and what a wet road mirrors, which workers without a GPU share out among them.
+    """Return the light of the scenery and the mirror image of a wet road.
 
-    `on_light` is called before each part that is not in the cache.
+    Workers without a GPU share the computation. `on_light` is called before each part that is not in the cache.
     """
     shares = stage.light_parts(BACKGROUND_SAMPLING.light_parts if stage.device.software else 1)
     works: list[Callable[[], Arrays]] = [*shares]
@@ -289,7 +294,7 @@ def _cached_light(stage: Stage, road: Plane | None, digest: str, on_light: Calla
 
 
 def _develop_textures(stage: Stage, light: Arrays, geometry: Any, road: Plane) -> dict[str, Any]:
-    """Textures of the scenery's light from sky and sun, and of what wet ground mirrors, as the camera exposes it."""
+    """Return textures of the exposed light from sky and sun, and of the mirror image on wet ground."""
     device = stage.device
     wet = "mirrored" in light
     names = ["u_ambient", "u_sunlit", *(["u_reflected"] if wet else [])]
@@ -321,7 +326,7 @@ def _develop_textures(stage: Stage, light: Arrays, geometry: Any, road: Plane) -
 
 
 def _mirrored_depth(stage: Stage, road: Plane) -> Any:
-    """Depth of what the road mirrors, half as fine as the image."""
+    """Return the depth of the mirror image on the road, at half the image's resolution."""
     width, height = stage.pixels["u_size"]
     target = stage.device.depth_target((-(-width // 2), -(-height // 2)))
     stage.draw_mirrored_depth(target, road)
@@ -351,7 +356,7 @@ def _mirror_texture(stage: Stage) -> Any:
 
 
 def _light_digest(device: Device, recording: Recording) -> str:
-    """Names everything that the scenery's light depends on."""
+    """Return a digest of everything that the scenery's light depends on."""
     town = scenery(recording.town)
     mesh = town.mesh
     camera, palette = recording.camera, Palette.of(recording.town)

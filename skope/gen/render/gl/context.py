@@ -1,4 +1,4 @@
-"""The OpenGL context, programs and meshes on the device. Only this package imports moderngl."""
+"""OpenGL context, programs and meshes on the device. Only this package imports moderngl."""
 
 import atexit
 import math
@@ -24,32 +24,32 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class ContextLimits:
-    """Planes and buffers of the OpenGL context."""
+    """Clipping planes and buffers of the OpenGL context."""
 
     near_m: float = 0.3
     """Distance of the near plane, metres."""
     far_m: float = 1500.0
     """Distance of the far plane, metres."""
     readback_bytes: int = 1 << 24
-    """Bytes of pixels that are fetched together at first."""
+    """Initial size of the readback buffer for pixels, bytes."""
 
 
 CONTEXT_LIMITS: Final = ContextLimits()
 
 PAINT_MATERIAL: Final = len(MATERIAL_COLORS)
-"""Number of the material whose colour is the vehicle's own."""
+"""Number of the material that has the vehicle's own colour."""
 
 _MATERIAL_NUMBERS: Final = {**{name: i for i, name in enumerate(MATERIAL_COLORS)}, "paint": PAINT_MATERIAL}
 
 
 def linear(srgb: Any) -> Array:
-    """sRGB in 0..1 -> linear light."""
+    """Convert sRGB in 0..1 to linear light."""
     c = np.asarray(srgb, dtype=np.float64)
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
 
 
 def shader_sources() -> str:
-    """All shaders in one text: what the pictures depend on besides the data."""
+    """Return all shaders in one text, for the digest of the inputs of images other than data."""
     files = resources.files("skope.gen.render.gl").joinpath("shaders").iterdir()
     return "".join(file.read_text(encoding="utf-8") for file in sorted(files, key=lambda file: file.name))
 
@@ -60,7 +60,7 @@ def _shader_source(name: str) -> str:
 
 
 def _material_number(material: str) -> int:
-    """A material's number in shaders; colours such as "#a0b4c8" have numbers of their own, four bits a channel."""
+    """Return a material's number in shaders; colours such as "#a0b4c8" are numbers with four bits per channel."""
     if not material.startswith("#"):
         return _MATERIAL_NUMBERS[material]
     red, green, blue = (int(material[i : i + 2], 16) // 17 for i in (1, 3, 5))
@@ -79,10 +79,16 @@ VERTEX_INPUTS: Final = {"in_position": "3f", "in_normal": "3f", "in_material": "
 
 
 class DeviceMesh:
-    """Vertices on the device of a mesh's parts, drawn by any program with the inputs it needs."""
+    """Vertices of a mesh's parts on the device; any program can draw them with the inputs that it needs."""
 
     def __init__(self, context: Any, rows: NDArray[np.float32], triangles: NDArray[np.int32]) -> None:
-        """`rows` (V, 8) are position, normal, number of the material and of the part; triangles (T, 3) index them."""
+        """Upload a mesh.
+
+        Args:
+            context: OpenGL context.
+            rows: (V, 8) position, normal, number of the material and of the part.
+            triangles: (T, 3) indices into `rows`.
+        """
         self._context, self._vertices = context, context.buffer(rows.tobytes())
         self._triangles = context.buffer(triangles.tobytes())
         self._arrays: dict[int, Any] = {}
@@ -90,7 +96,7 @@ class DeviceMesh:
     def draw(self, program: Any) -> None:
         if program.glo not in self._arrays:
             used = [name for name in VERTEX_INPUTS if name in program]
-            # What a program does not use is skipped, in bytes.
+            # Inputs that a program does not use are skipped, in bytes.
             layout = " ".join(kind if name in used else f"{4 * int(kind[0])}x" for name, kind in VERTEX_INPUTS.items())
             content = [(self._vertices, layout, *used)]
             self._arrays[program.glo] = self._context.vertex_array(program, content, self._triangles)
@@ -98,7 +104,7 @@ class DeviceMesh:
 
 
 def _gpu_number(worker: str | None) -> int:
-    """Number of the GPU that a worker draws on: those of a machine with several take the workers in turns."""
+    """Return the number of the GPU that a worker draws on. Workers take the GPUs of a machine in turn."""
     gpus = len(list(Path("/dev").glob("nvidia[0-9]*")))
     return int(worker or 0) % gpus if gpus else 0
 
@@ -109,32 +115,32 @@ class Device:
     def __init__(self) -> None:
         import moderngl
 
-        # Mesa's llvmpipe, here 22.3, may free the fence of what its own threads have drawn while they still unlock it,
-        # which damages the heap. Workers share the cores anyway.
+        # Mesa's llvmpipe (here 22.3) may free the fence of its own threads while they still unlock it, which damages
+        # the heap. Workers share the cores anyway.
         os.environ["LP_NUM_THREADS"] = "0"
         self.gl: Any = moderngl
         try:
             self.context: Any = self.gl.create_context(
                 standalone=True, backend="egl", require=430, device_index=_gpu_number(os.environ.get(WORKER_VARIABLE))
             )
-        except Exception as error:  # EGL's loaders raise whatever they like
+        except Exception as error:  # EGL loaders raise various exceptions
             raise UserError(
                 f"--renderer gl: no OpenGL context through EGL ({error}); install libegl1 and libgl1-mesa-dri "
-                "(Debian's names), or take --renderer pybullet"
+                "(Debian's names), or use --renderer pybullet"
             ) from None
         self.software = "llvmpipe" in self.context.info["GL_RENDERER"]
-        """Whether the processor draws."""
+        """Whether the processor renders (no GPU)."""
         self.name = " ".join(str(self.context.info[key]) for key in ("GL_RENDERER", "GL_VERSION"))
-        self.context.front_face = "cw"  # rows of images run down
+        self.context.front_face = "cw"  # image rows run down
         self.context.depth_func = "<"
-        # What nothing refers to any more is freed on the device too; not while Python ends, which is half gone then.
+        # Unreferenced objects are freed on the device too, but not while Python exits and is partly torn down.
         self.context.gc_mode = "auto"
         atexit.register(setattr, self.context, "gc_mode", None)
         self._empty: dict[int, Any] = {}
         self._programs: dict[tuple[str, ...], Any] = {}
 
     def program(self, vertex: str, fragment: str, *options: str) -> Any:
-        """The program of two shader files, compiled once for each set of options (llvmpipe skips no branches)."""
+        """Return the program of two shader files, compiled once per set of options (llvmpipe skips no branches)."""
         key = vertex, fragment, *options
         if key not in self._programs:
             head = "\n".join([_shader_defines(), *(f"#define {option}" for option in options)])
@@ -152,12 +158,12 @@ class Device:
         self._empty[program.glo].render(mode=self.gl.TRIANGLES, vertices=3)
 
     def tiles(self, program: Any, places: Sequence[Window]) -> None:
-        """Run a program for every pixel of parts of the image that the target is of."""
+        """Run a program for every pixel of parts of the target's image."""
         windows = np.array(places, dtype="f4").reshape(-1, 4)
         self.triangles(program, windows[:, [0, 1, 2, 1, 2, 3, 0, 1, 2, 3, 0, 3]], "2f", "in_corner")
 
     def prepare(self, target: Any, places: Sequence[Window], uniforms: Mapping[str, Any], *options: str) -> None:
-        """Make parts of a target ready for drawing (see prepare.frag.glsl)."""
+        """Prepare parts of a target for drawing (see prepare.frag.glsl)."""
         program = self.program("tiles.vert.glsl", "prepare.frag.glsl", *options)
         put(program, uniforms)
         target.use()
@@ -167,7 +173,7 @@ class Device:
         self.context.depth_func = "<"
 
     def triangles(self, program: Any, rows: NDArray[np.float32], layout: str, *names: str) -> None:
-        """Draw triangles from the values of their corners, which are on the device for this draw only."""
+        """Draw triangles from the values of their corners, which are uploaded for this draw only."""
         if not rows.size:
             return
         buffer = self.context.buffer(np.ascontiguousarray(rows, dtype="f4").tobytes())
@@ -177,13 +183,13 @@ class Device:
         buffer.release()
 
     def upload(self, *parts: Mesh, origin: Array | None = None) -> DeviceMesh:
-        """Put meshes that are drawn together, each with matrices of its own, on the device.
+        """Upload meshes that are drawn together, each with its own matrices.
 
         Their positions are relative to `origin`, so that float32 keeps tenths of millimetres.
         """
         rows, triangles, count = [], [], 0
         for part, mesh in enumerate(parts):
-            # A vertex stands once for each material around it.
+            # A vertex is stored once per material around it.
             kinds = len(mesh.materials)
             keys, index = np.unique(mesh.triangles * kinds + mesh.material[:, None], return_inverse=True)
             vertex, material = np.divmod(keys, kinds)
@@ -195,7 +201,7 @@ class Device:
         return DeviceMesh(self.context, np.concatenate(rows).astype("f4"), np.concatenate(triangles).astype("i4"))
 
     def texture(self, values: NDArray[Any], kind: str) -> Any:
-        """A texture of values (H, W, C), looked up texel by texel; `kind` is "f1", "f2" or "f4"."""
+        """Return a texture of values (H, W, C), sampled without interpolation; `kind` is "f1", "f2" or "f4"."""
         height, width, components = values.shape
         texture = self.context.texture(
             (width, height), components, values.astype({"f1": "u1"}.get(kind, kind)).tobytes(), alignment=1, dtype=kind
@@ -204,7 +210,7 @@ class Device:
         return texture
 
     def target(self, size: tuple[int, int], kinds: Sequence[str], *, depth: bool = True) -> Any:
-        """A framebuffer with colour attachments such as "4f4" (components, type) and a depth buffer."""
+        """Return a framebuffer with colour attachments such as "4f4" (components, type) and a depth buffer."""
         textures = [self.context.texture(size, int(kind[0]), dtype=kind[1:]) for kind in kinds]
         for texture in textures:
             texture.filter = (self.gl.NEAREST, self.gl.NEAREST)
@@ -212,14 +218,14 @@ class Device:
         return self.context.framebuffer(textures, buffer)
 
     def depth_target(self, size: tuple[int, int]) -> Any:
-        """A framebuffer that is a depth texture."""
+        """Return a framebuffer that is a depth texture."""
         texture = self.context.depth_texture(size)
         texture.compare_func = ""
         texture.filter = (self.gl.NEAREST, self.gl.NEAREST)
         return self.context.framebuffer(depth_attachment=texture)
 
     def shadow_map(self, size: int) -> Any:
-        """A framebuffer that is a depth texture, compared when sampled, with everything outside it lit."""
+        """Return a framebuffer that is a depth texture, compared when sampled; everything outside it counts as lit."""
         target = self.depth_target((size, size))
         texture = target.depth_attachment
         texture.compare_func = "<="
@@ -229,9 +235,9 @@ class Device:
 
 
 class Readback:
-    """Pixels that are asked for one by one, as they are drawn, and fetched together.
+    """Queue of pixel windows that are requested one by one and fetched together.
 
-    Waiting for the device is what costs: where many processes share a GPU each wait is as long as the others' turns.
+    Waiting for the device is the main cost. If many processes share a GPU, each wait is as long as the others' work.
     """
 
     def __init__(self, context: Any) -> None:
@@ -240,7 +246,7 @@ class Readback:
         self._end = 0
 
     def ask(self, target: Any, window: Window, kind: str, components: int = 4) -> None:
-        """Have a window of a target brought as "f1" (bytes) or "f4"."""
+        """Request a window of a target as "f1" (bytes) or "f4"."""
         x0, y0, x1, y1 = window
         shape, dtype = (y1 - y0, x1 - x0, components), np.dtype({"f1": "u1"}.get(kind, kind))
         begin, self._end = self._end, self._end + -(-math.prod(shape) * dtype.itemsize // 16) * 16
@@ -255,11 +261,11 @@ class Readback:
         self._asked.append((begin, shape, dtype))
 
     def forget(self) -> None:
-        """Give up what was asked for and not fetched, by a frame that was interrupted."""
+        """Drop requests that an interrupted frame has left."""
         self._asked, self._end = [], 0
 
     def fetch(self) -> list[NDArray[Any]]:
-        """The pixels (h, w, components) of all that was asked for since the last time, in that order."""
+        """Return the pixels (h, w, components) of all requests since the last fetch, in their order."""
         data = self._buffer.read(self._end) if self._end else b""
         out = [
             np.frombuffer(data, dtype, math.prod(shape), begin).reshape(shape) for begin, shape, dtype in self._asked
@@ -269,7 +275,7 @@ class Readback:
 
 
 def put(program: Any, values: Mapping[str, Any]) -> None:
-    """Set a program's uniforms, those that it has: numbers, vectors, row-major matrices, lists of matrices, bytes."""
+    """Set the uniforms that a program has: numbers, vectors, row-major matrices, lists of matrices, bytes."""
     for name, value in values.items():
         uniform = program.get(name, None)
         if uniform is None:
@@ -286,15 +292,16 @@ def put(program: Any, values: Mapping[str, Any]) -> None:
 
 @cache
 def albedo_table(palette: Palette) -> NDArray[np.float32]:
-    """(M, 4) linear colour and roughness of every material, in the order of their numbers."""
+    """Return linear colour and roughness (M, 4) of every material, in the order of their numbers."""
     rows = [[*linear(palette.colors[name]), MATERIAL_ROUGHNESS.get(name, 0.85)] for name in MATERIAL_COLORS]
     return np.array([*rows, [0.5, 0.5, 0.5, MATERIAL_ROUGHNESS["paint"]]], dtype=np.float32)
 
 
 def pattern_tables(palette: Palette) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(M, 4) each: linear colours of patterns, in the order of the materials' numbers.
+    """Return two tables (M, 4) with the linear colours of the patterns, in the order of the materials' numbers.
 
-    The fourth value is the size, metres, of the first, and motif and turn together of the second; 0 for no pattern.
+    The fourth value of the first table is the size, metres. That of the second table combines motif and turn; 0 means
+    no pattern.
     """
     first, second = np.zeros((2, len(_MATERIAL_NUMBERS), 4), dtype=np.float32)
     for name, pattern in palette.patterns.items():
@@ -304,7 +311,7 @@ def pattern_tables(palette: Palette) -> tuple[NDArray[np.float32], NDArray[np.fl
 
 
 def noise_tile(size: int = 256) -> bytes:
-    """(size, size, 4) bytes of four tileable noises, each a sum of octaves stretched to the whole range."""
+    """Return (size, size, 4) bytes of four tileable noises, each a sum of octaves stretched to the whole range."""
     rng = np.random.default_rng(11)
     frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(size), np.fft.fftfreq(size)))
     layers = []
@@ -312,15 +319,20 @@ def noise_tile(size: int = 256) -> bytes:
         weight = np.where(frequency > 0, 1 / np.maximum(frequency, 1e-9) ** power, 0)
         field = np.fft.ifft2(np.fft.fft2(rng.standard_normal((size, size))) * weight).real
         ranks = field.ravel().argsort().argsort() / (size * size - 1)
-        # Half way between an even spread and the bell that sums of octaves have.
+        # Halfway between a uniform distribution and the bell shape of a sum of octaves.
         layers.append(0.5 * ranks.reshape(field.shape) + 0.5 * np.clip(0.5 + 0.18 * field / field.std(), 0, 1))
     return (np.stack(layers, -1) * 255).astype(np.uint8).tobytes()
 
 
 def projection(K: Array, window: Window, jitter: tuple[float, float] = (0.0, 0.0)) -> Array:
-    """(4, 4) camera frame -> clip space for a window (x0, y0, x1, y1) of the image, shifted by a share of a pixel.
+    """Return the matrix (4, 4) from the camera frame to clip space for a window of the image.
 
     Image rows count upwards in clip space, so that the target's first row is the image's.
+
+    Args:
+        K: (3, 3) camera matrix.
+        window: x0, y0, x1, y1 in image pixels.
+        jitter: Shift as a share of a pixel.
     """
     x0, y0, x1, y1 = window
     width, height = x1 - x0, y1 - y0
@@ -340,7 +352,10 @@ def projection(K: Array, window: Window, jitter: tuple[float, float] = (0.0, 0.0
 
 
 def light_projection(direction: Array, center: Array, radius: float) -> tuple[Array, Array]:
-    """World axes -> clip space of a light from `direction` around `center`, and -> texture coordinates and depth."""
+    """Return two matrices of a light from `direction` around `center`.
+
+    The first goes from world axes to clip space, the second to texture coordinates and depth.
+    """
     d = direction / np.linalg.norm(direction)
     side = np.cross(d, [0.0, 1.0, 0.0] if abs(d[1]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)

@@ -1,5 +1,8 @@
-"""Lamps that light the ground, as maps: street lights, and which of them count for a camera; the headlights of vehicles
-around the middle of the view, drawn anew in each frame."""
+"""Light maps of lamps on the ground.
+
+One map holds the street lights that matter for a camera. The other holds the headlights of vehicles around the middle
+of the view and is drawn again in each frame.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,38 +24,38 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class GroundLightLimits:
-    """Lamps, beams and light maps on the ground."""
+    """Limits of lamps, beams and light maps on the ground."""
 
     most_lamps: int = 64
     """Maximum number of lamps that light the scenery."""
     most_pools: int = 4
     """Maximum number of patches of light on the road in a camera's view."""
     shadow_cells: int = 3
-    """Shadow maps side by side in a texture, on each axis. The nearest lamps cast shadows."""
+    """Shadow maps beside each other in a texture, on each axis. The nearest lamps cast shadows."""
     shadow_cell_texels: int = 1024
-    """Texels of each shadow map, on each side."""
+    """Side of each shadow map, texels."""
     lamp_map_px: int = 256
     """Side of the light map, pixels."""
     map_radius_m: float = 128.0
-    """Reach of the light map from the middle of the view, metres."""
+    """Radius of the light map around the middle of the view, metres."""
     lit_within_m: float = 240.0
-    """Lamps within this distance light the ground, metres."""
+    """Maximum distance of the lamps that light the ground, metres."""
     infrared_intensity: float = 22.0
     """Radiant intensity of a camera's infrared lamp."""
     infrared_share: float = 0.35
     """Share of a street light's light that an infrared camera sees."""
     lamp_height_m: float = 7.0
-    """Distance below the lamps that the light map is computed for, metres: a metre over the road."""
+    """Vertical distance below the lamps for which the light map is computed, metres: one metre above the road."""
     beam_irradiance: float = 0.06
-    """Irradiance of the road right before a headlight, where nothing weakens it, in the units of `Daylight`."""
+    """Irradiance of the road directly before a headlight without attenuation, in the units of `Daylight`."""
     beam_reach_m: float = 40.0
     """Reach of headlights on the road, metres."""
     wash_irradiance: float = 0.02
-    """Irradiance of the road behind a vehicle by its tail lamps, in the same units."""
+    """Irradiance of the road behind a vehicle from its tail lamps, in the units of `Daylight`."""
     wash_reach_m: float = 12.0
     """Reach of rear lamps on the road, metres."""
     brake_factor: float = 3.0
-    """Factor of the rear lamps' light while braking."""
+    """Factor on the light of the rear lamps while braking."""
     shadow_map_px: int = 1024
     """Side of the shadow map of beams, pixels."""
 
@@ -72,7 +75,7 @@ _CONE_TANGENT: Final = np.tan(np.radians(75))
 @dataclass(frozen=True, eq=False)
 class StreetLights:
     positions: Array
-    """(N, 3) places relative to the camera, metres; the nearest to what the camera looks at first."""
+    """(N, 3) positions relative to the camera, metres; those nearest to the middle of the view first."""
     intensity: Array
     """(3,) radiant intensity of each lamp, red, green and blue."""
     own: float
@@ -84,7 +87,7 @@ class StreetLights:
     def of(
         cls, lamps: Array, camera: Camera, conditions: Conditions, daylight: Daylight, middle: Array
     ) -> "StreetLights":
-        """The street lights that are lit where a camera looks."""
+        """Return the lit street lights for a camera."""
         infrared = daylight.dark and conditions.infrared >= 0.5
         intensity = daylight.street_light * (GROUND_LIGHTS.infrared_share if infrared else 1.0)
         offsets = lamps - camera.position if intensity.any() else np.zeros((0, 3))
@@ -119,16 +122,20 @@ class StreetLights:
         return min(len(self.positions), GROUND_LIGHTS.shadow_cells**2)
 
     def clip(self, k: int) -> Array:
-        """World axes, relative to the camera -> clip space of a lamp that looks straight down."""
+        """Return the matrix from world axes to the clip space of a lamp that points straight down.
+
+        World axes are relative to the camera.
+        """
         T = np.diag([1.0, -1.0, -1.0, 1.0])
         T[:3, 3] = -T[:3, :3] @ self.positions[k]
         K = np.array([[1 / _CONE_TANGENT, 0, 1], [0, 1 / _CONE_TANGENT, 1], [0, 0, 1]])
         return projection(K, (0, 0, 2, 2)) @ T
 
     def on_ground(self) -> NDArray[np.float16]:
-        """The light's vector around `middle`: each lamp's direction times its irradiance, north down.
+        """Return the vector of light around `middle`: each lamp's direction times its irradiance, north down.
 
-        (LAMP_MAP_PX, LAMP_MAP_PX, 4): an unlit fourth channel makes texels of a size that every device takes.
+        The shape is (LAMP_MAP_PX, LAMP_MAP_PX, 4). The fourth channel is empty; it gives texels a size that every
+        device takes.
         """
         side = (
             np.arange(GROUND_LIGHTS.lamp_map_px) + 0.5
@@ -146,7 +153,7 @@ class StreetLights:
         return out.astype(np.float16)
 
     def mean(self, vectors: NDArray[np.float16]) -> Array:
-        """(3,) irradiance on the road in view."""
+        """Return the mean irradiance (3,) on the visible road."""
         half = GROUND_LIGHTS.lamp_map_px // 6
         upward = vectors[
             GROUND_LIGHTS.lamp_map_px // 2 - half : GROUND_LIGHTS.lamp_map_px // 2 + half,
@@ -158,7 +165,7 @@ class StreetLights:
 
 
 def pool_uniforms(pools: Array, camera: Camera, middle: Array) -> dict[str, Any]:
-    """Uniforms of the patches of light that are nearest to what a camera looks at.
+    """Return the uniforms of the patches of light nearest to the middle of the view.
 
     Args:
         pools: (N, 10) patches, as `Scenery.light_pools` has them.
@@ -187,7 +194,7 @@ _BRAKE_COLOR: Final = np.array([1.0, 0.05, 0.06])
 
 class Beams:
     def __init__(self, device: Device, middle: Array, radius: float, exposure: Array) -> None:
-        """The map reaches `radius` around `middle` (world), metres."""
+        """Create an empty map that covers `radius` metres around `middle` (world coordinates)."""
         self._device, self._middle, self._radius = device, middle, radius
         self._target = device.target((GROUND_LIGHTS.shadow_map_px, GROUND_LIGHTS.shadow_map_px), ["2f2"], depth=False)
         (self.texture,) = self._target.color_attachments
@@ -200,7 +207,10 @@ class Beams:
         }
 
     def draw(self, placed: Sequence[PlacedVehicle], camera: Camera) -> list[Array]:
-        """Draw the beams of those whose lamps are lit; returns polygons in the image around what they may light."""
+        """Draw the beams of vehicles with lit lamps.
+
+        Return polygons in the image around the road that they may light.
+        """
         device = self._device
         lit = [one for one in placed if one.look["u_lamps"] & LAMP_BITS["low_beam"] and has_headlights(one.vehicle)]
         self._target.use()
@@ -223,10 +233,11 @@ class Beams:
         return hulls
 
     def _beam_triangles(self, one: PlacedVehicle, reach: float) -> NDArray[np.float32]:
-        """(6, 7) corners of two triangles around the road that a vehicle lights.
+        """Return the corners (6, 7) of two triangles around the road that a vehicle lights.
 
-        Columns: place in the map (2), place ahead of the bumper (2), how far its light reaches, half its width, its
-        height. With a negative `reach` it is the road behind it, and in place of the reach stands the lamps' strength.
+        Columns: position in the map (2), position ahead of the bumper (2), reach of the light, half its width, its
+        height. A negative `reach` selects the road behind the vehicle; the column of the reach then holds the strength
+        of the lamps.
         """
         length, width, height = one.vehicle.size_lwh
         local = beam_corners(reach)[[0, 1, 2, 0, 2, 3]]

@@ -1,7 +1,7 @@
-"""The light of everything that does not move, worked out once per recording.
+"""Light of the stationary scenery, computed once per recording.
 
-An average of many samples, each with its own shift of the pixels, its own point of the sun's disc and its own
-direction of the sky: anti-aliasing, soft shadows and sky occlusion come out of the same average.
+The light is an average of many samples. Each sample has its own pixel shift, its own point of the sun's disc and its
+own direction of the sky. Anti-aliasing, soft shadows and sky occlusion follow from this average.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,22 +41,23 @@ LitMeshes = list[tuple[DeviceMesh, tuple[str, ...]]]
 
 @dataclass(frozen=True)
 class LightSampling:
-    """Samples and maps of sun and sky."""
+    """Samples and shadow maps of sun and sky."""
 
     samples: int = 24
     """Number of samples of sun and sky."""
     standing_water: int = 64
-    """Added to the share of light that water mirrors where it stands: more than all samples' shares together."""
+    """Value added to the mirrored share of light where water stands: greater than the sum over all samples."""
     mirrored_share: int = 4
-    """The mirror image on wet ground has this many times fewer samples, and half the resolution: water blurs it."""
+    """Divisor of the number of samples for the mirror image on wet ground. It has half the resolution, as water
+    blurs it."""
     sky_map_texels: int = 2048
     """Side of the sky's shadow maps, texels."""
     shadow_map_m: float = 140.0
-    """Side of the area of a shadow map, metres."""
+    """Side of the area that a shadow map covers, metres."""
     sun_radius_rad: float = 0.0047
-    """Radius of the sun's disc as seen from the earth, radians."""
+    """Angular radius of the sun's disc, radians."""
     golden_ratio: float = (1 + 5**0.5) / 2
-    """Golden ratio, which spreads the samples."""
+    """Golden ratio, used to spread the samples."""
 
 
 LIGHT_SAMPLING: Final = LightSampling()
@@ -67,11 +68,11 @@ PATTERN_GROUPS: Final = {
     "LEAVES": ("leaves", "leaves_pale"),
     "OTHERS": ("asphalt", "seam"),
 }
-"""Materials, from first to last of the table, that share the programs compiled for their patterns."""
+"""Ranges of materials (first and last in the table) that share the programs compiled for their patterns."""
 
 
 class Stage:
-    """Scenery on the device with sun, sky and street lights over it."""
+    """Scenery on the device with sun, sky and street lights."""
 
     def __init__(
         self,
@@ -84,14 +85,22 @@ class Stage:
         palette: Palette = USUAL_PALETTE,
         pools: Array | None = None,
     ) -> None:
-        """`burning` (N, 3) are the street lights, where there are any; `daylight` is that of the conditions if None.
+        """Upload the scenery and set up its light.
 
-        `pools` (N, 10) are patches of light on the road, as `Scenery.light_pools` has them.
+        Args:
+            device: The OpenGL device.
+            mesh: The scenery.
+            camera: The image's camera.
+            conditions: Conditions of the recording.
+            burning: (N, 3) lit street lights, if any.
+            daylight: Light of sun and sky; None: that of `conditions`.
+            palette: Colours of the materials.
+            pools: (N, 10) patches of light on the road, as `Scenery.light_pools` has them.
         """
         self.device, self._camera, self._mesh = device, camera, mesh
         self._size = (camera.width, camera.height)
         self.focus = _view_focus(camera)
-        """(3,) a point on the road in the middle of the view, world axes, relative to the camera."""
+        """(3,) point on the road in the middle of the view, world axes, relative to the camera."""
         self.view = np.eye(4)
         self.view[:3, :3] = camera.T_camera_world[:3, :3]
         daylight = daylight or Daylight.of(conditions)
@@ -122,7 +131,7 @@ class Stage:
         }
 
     def draw_geometry(self, target: Any) -> None:
-        """Depth, slopes and where there is something at all, at pixel centres."""
+        """Draw depth, slopes and a hit mask at pixel centres."""
         target.use()
         target.clear(0, 0, 0, 0)
         self.device.context.enable_only(self.device.gl.DEPTH_TEST)
@@ -133,9 +142,9 @@ class Stage:
             mesh.draw(program)
 
     def draw_depth(self, target: Any, clip: Array, *, seen: bool = False, parts: Any = None) -> None:
-        """The depth buffer of what throws shadows, or of what the camera sees, or of some parts.
+        """Draw the depth buffer of the objects that cast shadows, of those that the camera sees, or of some parts.
 
-        `clip` takes world axes, relative to the camera, to clip space.
+        `clip` is the matrix from world axes, relative to the camera, to clip space.
         """
         target.use()
         target.clear(viewport=target.viewport)
@@ -146,7 +155,7 @@ class Stage:
             mesh.draw(program)
 
     def light_parts(self, count: int) -> list[Callable[[], dict[str, NDArray[np.float32]]]]:
-        """Tasks that make the parts of the light, for `joined`: each of them sums a share of the samples."""
+        """Return tasks for `joined`; each computes a part of the light, summed over a share of the samples."""
         ends = np.linspace(0, LIGHT_SAMPLING.samples, count + 1).astype(int)
         return [partial(self._light_part, range(*pair)) for pair in pairwise(ends)]
 
@@ -155,7 +164,7 @@ class Stage:
         return {"ambient": ambient, "sunlit": sunlit}
 
     def mirrored(self, plane: Plane) -> dict[str, NDArray[np.float16]]:
-        """Draw what the road would show as a mirror, "mirrored" (H / 2, W / 2, 4)."""
+        """Draw the mirror image of the scenery on the road: "mirrored" (H / 2, W / 2, 4)."""
         width, height = self._size
         self.uniforms |= uniforms_of(plane)
         samples = max(2, LIGHT_SAMPLING.samples // LIGHT_SAMPLING.mirrored_share)
@@ -166,13 +175,13 @@ class Stage:
         return {"mirrored": _half_precision(ambient + sunlit)}
 
     def reflected_parts(self, plane: Plane) -> LitMeshes:
-        """Parts that the mirrored view may show."""
+        """Return the parts that the mirrored view may show."""
         return _upload_parts(
             self.device, self._mesh.taken(_in_view(self._mesh, self._camera, plane.mirror)), self._camera
         )
 
     def draw_mirrored_depth(self, target: Any, plane: Plane) -> None:
-        """The depth buffer of what the road mirrors."""
+        """Draw the depth buffer of the mirror image on the road."""
         self.uniforms |= uniforms_of(plane)
         parts = [(mesh, (*options, "MIRRORED")) for mesh, options in self.reflected_parts(plane)]
         P = projection(self._camera.K, (0, 0, *self._size))
@@ -187,7 +196,10 @@ class Stage:
         parts: LitMeshes,
         *options: str,
     ) -> list[NDArray[np.float32]]:
-        """Sums over `which` samples' shares of the mean of all, with everything moved by `placed`."""
+        """Return sums over the samples in `which`, weighted for the mean over all samples.
+
+        `placed` is a transform of the scene.
+        """
         device = self.device
         sums, sample = (device.target(size, ["4f4", "4f4"]) for _ in range(2))
         sun, sky = device.shadow_map(sun_map_size(self._camera)), device.shadow_map(LIGHT_SAMPLING.sky_map_texels)
@@ -196,9 +208,10 @@ class Stage:
         sums.use()
         sums.clear(0, 0, 0, 0)
         rng = np.random.default_rng(3)
-        # Pixels are shifted in another order than the sky is gone through, or edges would take on its gradient.
+        # The order of pixel shifts differs from that of sky directions, otherwise edges would take on the sky's
+        # gradient.
         shift = rng.permutation(samples)
-        # A shift of the map by less than a texel, new in each sample, hides its grid.
+        # Each sample shifts the map by less than a texel, which hides the map's grid.
         middles = self.focus + rng.uniform(-0.2, 0.2, (samples, 3))
         for k in which:
             jitter = ((shift[k] + 0.5) / samples - 0.5, (shift[k] * LIGHT_SAMPLING.golden_ratio + 0.5) % 1 - 0.5)
@@ -219,7 +232,7 @@ class Stage:
 
     @cached_property
     def _lamp_maps(self) -> Any:
-        """Shadow maps of the nearest street lights; None when none burns."""
+        """Return shadow maps of the nearest street lights; None if no street light burns."""
         if not self.daylight.dark:
             return None
         maps = self.device.shadow_map(
@@ -237,7 +250,7 @@ class Stage:
         return maps
 
     def _draw_shadows(self, sun: Any, sky: Any, k: int, samples: int, middle: Array) -> dict[str, Any]:
-        """Shadow maps of the k-th point of the sun's disc and direction of the sky; returns their uniforms."""
+        """Draw shadow maps of the k-th point of the sun's disc and direction of the sky; return their uniforms."""
         direction = self.daylight.sun_direction
         toward_sun = direction + LIGHT_SAMPLING.sun_radius_rad * _in_disc(k, samples) @ _unit_vectors_across(direction)
         toward_sky = _on_hemisphere(k, samples)
@@ -263,7 +276,7 @@ class Stage:
         target.clear(0, 0, 0, 0)
         device.context.enable_only(device.gl.DEPTH_TEST)
         self.noise.use(0)
-        # A sample may be coarser than the image, and its pixels' shift with it.
+        # A sample may be coarser than the image; its pixel shift scales with it.
         share = (jitter[0] * self._size[0] / target.width, jitter[1] * self._size[1] / target.height)
         uniforms = {
             **self.uniforms,
@@ -285,7 +298,7 @@ class Stage:
 
 
 def _look_of(camera: Camera, conditions: Conditions, daylight: Daylight, palette: Palette) -> dict[str, Any]:
-    """Uniforms of the programs that draw scenery: sun and sky, colours, haze, water and snow."""
+    """Return uniforms of the programs that draw scenery: sun and sky, colours, haze, water and snow."""
     first, second = pattern_tables(palette)
     return {
         "u_eye": camera.position,
@@ -317,10 +330,10 @@ def _look_of(camera: Camera, conditions: Conditions, daylight: Daylight, palette
 
 
 def mean_light(parts: Sequence[Arrays]) -> dict[str, NDArray[np.float16]]:
-    """The mean of the samples: light from sky and lamps ("ambient") and from the sun ("sunlit"), (H, W, 4) each.
+    """Return the mean of the samples: light from sky and lamps ("ambient") and from the sun ("sunlit"), (H, W, 4) each.
 
-    The fourth channel of the one is the albedo, of the other the share of light that water on the ground mirrors,
-    under 0 where it stands.
+    The fourth channel of "ambient" is the albedo. That of "sunlit" is the share of light that water on the ground
+    mirrors, negative where water stands.
     """
     ambient, sunlit = (np.sum([part[name] for part in parts], axis=0) for name in ("ambient", "sunlit"))
     sunlit[..., 3] = _signed_water(sunlit[..., 3], LIGHT_SAMPLING.samples)
@@ -332,20 +345,20 @@ def _half_precision(pixels: NDArray[np.float32]) -> NDArray[np.float16]:
 
 
 def _signed_water(water: NDArray[np.float32], samples: int) -> NDArray[np.float32]:
-    """Means of samples that have STANDING_WATER more where water stands -> means without; negative: most have it."""
+    """Convert means that contain STANDING_WATER to signed means: negative if water stands in most samples."""
     standing = np.floor(water * (samples / LIGHT_SAMPLING.standing_water) + 1e-3)
     share = np.maximum(water - standing * (LIGHT_SAMPLING.standing_water / samples), 0.0)
     return np.asarray(np.where(2 * standing > samples, -share, share), dtype=np.float32)
 
 
 def sun_map_size(camera: Camera) -> int:
-    """Texels of the sun's shadow map on each side: large images show finer shadows."""
+    """Return the side of the sun's shadow map, texels. Large images show finer shadows."""
     return 4096 if camera.width > 1280 else 2048
 
 
 @dataclass(frozen=True)
 class _Eye:
-    """A camera, equal to others that see the same."""
+    """Camera as a cache key: equal to other cameras with the same view."""
 
     camera: Camera = field(compare=False)
     key: tuple[int, int, bytes, bytes]
@@ -357,9 +370,9 @@ class _Eye:
 
 @lru_cache(maxsize=2)
 def _scenery_parts(device: Device, mesh: Mesh, eye: _Eye) -> tuple[LitMeshes, LitMeshes]:
-    """Parts of a scenery that a camera sees, and those that may throw shadows into its view.
+    """Return the parts of a scenery that a camera sees, and those that may cast shadows into its view.
 
-    Cached, since recordings of the same camera often follow each other.
+    The result is cached, since consecutive recordings often share a camera.
     """
     camera = eye.camera
     seen, casting = mesh.taken(_in_view(mesh, camera, np.eye(4))), mesh.taken(_within_reach(mesh, camera))
@@ -373,15 +386,15 @@ def _view_focus(camera: Camera) -> Array:
 
 
 def _in_view(mesh: Mesh, camera: Camera, placed: Array) -> NDArray[np.int64]:
-    """Triangles that the image may show, when `placed` has moved them (in world axes, relative to the camera).
+    """Return the triangles that the image may show after the transform `placed` (world axes, relative to the camera).
 
-    They come from near to far, so that little is shaded in vain.
+    They are ordered from near to far, so that few hidden pixels are shaded.
     """
     points = (mesh.vertices - camera.position) @ placed[:3, :3].T + placed[:3, 3]
     frame = points @ camera.T_camera_world[:3, :3].T
     x, y, z = frame.T
     (fx, fy), (cx, cy) = camera.K[[0, 1], [0, 1]], camera.K[:2, 2]
-    # Outside when all three corners are beyond the same side of the view, which a pixel's jitter widens.
+    # Outside if all three corners are beyond the same side of the view, widened by the pixel jitter.
     sides = (
         x * fx + (cx + 1) * z,
         (camera.width + 1 - cx) * z - x * fx,
@@ -397,18 +410,18 @@ def _in_view(mesh: Mesh, camera: Camera, placed: Array) -> NDArray[np.int64]:
 
 
 def _within_reach(mesh: Mesh, camera: Camera) -> NDArray[np.bool_]:
-    """Triangles that may throw shadows into the view."""
+    """Return a mask of the triangles that may cast shadows into the view."""
     away = np.linalg.norm((mesh.vertices - camera.position - _view_focus(camera))[:, :2], axis=-1)
     return np.asarray((away < 2 * LIGHT_SAMPLING.shadow_map_m)[mesh.triangles].any(axis=-1))
 
 
 def _upload_parts(device: Device, mesh: Mesh, camera: Camera) -> LitMeshes:
-    """A mesh by groups of materials, with the options of the programs that draw each.
+    """Upload a mesh by groups of materials, with the options of the programs that draw each group.
 
-    Only leaves have gaps between them, or nothing could be hidden from what is behind it before that is shaded.
+    Only leaves have gaps. Otherwise nothing could be rejected by depth before it is shaded.
     """
     order = list(MATERIAL_COLORS)
-    # Colours that materials are named by are drawn with the last group.
+    # Colours that are named directly are drawn with the last group.
     last_number = order.index(PATTERN_GROUPS["OTHERS"][1])
     numbers = [last_number if name.startswith("#") else order.index(name) for name in mesh.materials]
     number = np.array(numbers)[mesh.material]
@@ -428,14 +441,14 @@ def _in_disc(k: int, samples: int) -> Array:
 
 
 def _unit_vectors_across(direction: Array) -> Array:
-    """(2, 3) unit vectors across a direction."""
+    """Return two unit vectors (2, 3) perpendicular to a direction."""
     side = np.cross(direction, [0.0, 0.0, 1.0])
     side /= max(float(np.linalg.norm(side)), 1e-9)
     return np.stack([side, np.cross(direction, side)])
 
 
 def _on_hemisphere(k: int, samples: int) -> Array:
-    """Directions spread evenly over the upper hemisphere (a Fibonacci lattice)."""
+    """Return the k-th of evenly spread directions over the upper hemisphere (a Fibonacci lattice)."""
     z, angle = (k + 0.5) / samples, 2.399963 * k
     r = (1 - z * z) ** 0.5
     return np.array([r * np.cos(angle), r * np.sin(angle), z])

@@ -1,5 +1,4 @@
-"""The vehicles of a moment, ready to draw, and how far they move in the picture while the shutter is open (motion
-blur)."""
+"""Vehicles of a moment, ready to draw, and their motion in the image while the shutter is open (motion blur)."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -19,15 +18,15 @@ from skope.gen.vehicles.paints import ALL_PAINTS
 from skope.types import Array
 
 PARTS_DEFINITION: Final = "PARTS 8"
-"""Definition for the shaders: a vehicle has up to eight parts, its body and four wheels, a trailer and two more wheels.
-"""
+"""Shader definition: a vehicle has up to eight parts, which are its body and four wheels, a trailer and two more
+wheels."""
 PANE_MATERIALS: Final = ("glass", "glass_tinted", "glass_lit")
 """Transparent materials."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedVehicle:
-    """A vehicle in a frame."""
+    """Vehicle in a frame, ready to draw."""
 
     index: int
     """Index of the vehicle in the frame."""
@@ -36,20 +35,20 @@ class PlacedVehicle:
     T_world_parts: Array
     """(8, 4, 4) poses of its parts, as `Moment.part_poses` has them."""
     mesh: DeviceMesh
-    """The vehicle from outside, with panes one cannot look through."""
+    """The vehicle from outside, with opaque panes."""
     solid: DeviceMesh
-    """Everything but the panes, with what is inside."""
+    """Everything except the panes, with the interior."""
     panes: DeviceMesh | None
     coarse: DeviceMesh
-    """The whole vehicle with fewer triangles, for pictures from afar."""
+    """The whole vehicle with fewer triangles, for distant views."""
     matrices: dict[str, bytes]
     """Poses of its parts: in the camera frame, and in world axes relative to the camera."""
     distance: float
-    """Distance from the camera, of an articulated vehicle that of its nearer part, metres."""
+    """Distance from the camera, metres; for an articulated vehicle that of its nearer part."""
     look: dict[str, Any]
-    """Paint and lamps."""
+    """Uniforms of paint and lamps."""
     hull: Array
-    """(N, 2) convex polygon around the pixels that it may cover."""
+    """(N, 2) convex polygon around the pixels that the vehicle may cover."""
     window: Window
     """Window of the pixels that the vehicle may cover, in the image and beyond."""
 
@@ -65,7 +64,10 @@ class Placer:
         self._device, self._camera = device, camera
 
     def place(self, moment: Moment) -> list[PlacedVehicle]:
-        """The vehicles that the image may show, from near to far: what a nearer one hides is then not shaded."""
+        """Return the vehicles that the image may show, from near to far.
+
+        In this order, pixels hidden by a nearer vehicle are not shaded.
+        """
         camera, out = self._camera, []
         bodies = [body_of(recorded) for recorded in moment.vehicles]
         away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - camera.position, axis=1)
@@ -75,7 +77,7 @@ class Placer:
                 away[i] = min(away[i], np.linalg.norm(middle[:3] - camera.position))
         for i in away.argsort(kind="stable").tolist():
             recorded, vehicle, parts = moment.vehicles[i], bodies[i], moment.part_poses(i)
-            # Its surfaces take longer to build than to draw.
+            # Building its surfaces takes longer than drawing them.
             if not may_be_seen(vehicle, parts, camera):
                 continue
             hull = hull_of(vehicle, parts, camera)
@@ -113,7 +115,7 @@ class Placer:
 
 @lru_cache(maxsize=256)
 def _upload_meshes(device: Device, vehicle: Body) -> dict[str, Any]:
-    """A vehicle's meshes on the device, by field of `PlacedVehicle`."""
+    """Return a vehicle's meshes on the device, by field of `PlacedVehicle`."""
     insides = {0: vehicle.interior} | ({MODEL_PARTS.trailer_part: vehicle.trailer.interior} if vehicle.trailer else {})
     solid, panes = list(vehicle.parts), [part.taken(np.zeros(0, dtype=np.int64)) for part in vehicle.parts]
     for k, interior in insides.items():
@@ -134,25 +136,25 @@ def _linear_color(rgb: tuple[int, int, int]) -> Array:
 
 
 def _uniform_bytes(matrices: Array) -> bytes:
-    """Matrices (P, 4, 4) as uniforms want them."""
+    """Return matrices (P, 4, 4) as bytes for uniforms."""
     return np.ascontiguousarray(matrices.swapaxes(-1, -2), dtype=np.float32).tobytes()
 
 
 LEAST_BLUR_PX: Final = 1.5
-"""Vehicles that move less than this are drawn sharp, pixels."""
+"""Motion below which a vehicle is drawn sharp, pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """A vehicle that moves visibly while the shutter is open."""
+    """Vehicle that moves visibly while the shutter is open."""
 
     vehicle: PlacedVehicle
     way: Array
-    """(2,) pixels."""
+    """(2,) motion in the image while the shutter is open, pixels."""
     nearest: float
-    """Least depth of it, metres."""
+    """Minimum depth of the vehicle, metres."""
     hull: Array
-    """(N, 2) convex polygon around all pixels that it may blur into."""
+    """(N, 2) convex polygon around all pixels that the vehicle may blur into."""
 
 
 def moving(
@@ -163,17 +165,17 @@ def moving(
     before: float = 0.5,
     after: float = -0.5,
 ) -> list[Moving]:
-    """The vehicles that move visibly while the shutter is open.
+    """Return the vehicles that move visibly while the shutter is open.
 
-    What is nearer than its own length is left sharp: its parts move in all directions.
+    A vehicle nearer than its own length is left sharp, because its parts move in different directions.
 
     Args:
         placed: The vehicles that the image may show.
         velocity: (N, 3) of all vehicles in the frame, m/s.
-        shutter_s: How long the shutter is open, seconds.
+        shutter_s: Exposure time, seconds.
         camera: The image's camera.
-        before: The shutter opens this much before the moment that is labelled, as a share of `shutter_s`.
-        after: It closes this much before it; negative if after it.
+        before: The shutter opens this far before the labelled moment, as a share of `shutter_s`.
+        after: The shutter closes this far before the labelled moment; negative: after it.
     """
     out = []
     for one in placed:
@@ -184,7 +186,8 @@ def moving(
         way = pixels[1] - pixels[0]
         if valid.all() and depth.min() > length and way @ way > LEAST_BLUR_PX**2:
             swept = cv2.convexHull(np.concatenate([one.hull - before * way, one.hull - after * way]).astype(np.float32))
-            # A trailer's end is a whole length away from where the vehicle is; others reach half of theirs.
+            # The end of a trailer is a whole length from the vehicle's position; other vehicles extend by half their
+            # length.
             reach = (0.6 if one.vehicle.trailer is None else 1.0) * length
             out.append(Moving(one, way, float(depth.min()) - reach, swept[:, 0].astype(np.float64)))
     return out

@@ -1,8 +1,8 @@
-"""Renders a recording's frames with OpenGL.
+"""Render a recording's frames with OpenGL.
 
-The scenery's light comes from `background`, worked out once. Per frame only the vehicles are drawn, in the tiles that
-they and their shadows may touch: once for depth, slope and ids at pixel centres, once per vehicle for its whole
-silhouette, and in colour over the scenery.
+The scenery's light comes from `background` and is computed once. Each frame draws only the vehicles, in the tiles that
+they and their shadows may touch. They are drawn once for depth, slope and ids at pixel centres, once per vehicle for
+the whole silhouette, and once in colour over the scenery.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -49,36 +49,38 @@ class RendererLimits:
     shadow_map_texels: int = 2048
     """Side of the shadow map of vehicles, texels."""
     coarse_from_m: float = 30.0
-    """Vehicles farther from the camera than this are drawn coarsely in colour, with windows that are not transparent,
-    metres."""
+    """Distance from the camera beyond which vehicles are drawn coarsely in colour, with opaque windows, metres."""
     shadowed_within_m: float = 60.0
-    """Vehicles nearer to the middle of the view than this cast shadows, metres."""
+    """Maximum distance from the middle of the view at which vehicles cast shadows, metres."""
     haze_extinction: float = 1e-3
-    """Extinction of the air, 1/m, from which on it shows before vehicles' shadows."""
+    """Extinction of the air above which haze is drawn before vehicles' shadows, 1/m."""
     pulses_hz: float = 220.0
-    """Frequency at which LED lamps are switched, about (dashed trails of real vehicles)."""
+    """Approximate switching frequency of pulsed LED lamps, Hz (from dashed trails of real vehicles)."""
     pulsing_share: float = 0.4
     """Share of the vehicles with pulsed lamps."""
     golden_fraction: float = (5**0.5 - 1) / 2
-    """Fraction of the golden ratio, which spreads the phases."""
+    """Fractional part of the golden ratio, used to spread the phases."""
     signal_light: float = 40.0
-    """Light of traffic signals, as exposed."""
+    """Exposed light of traffic signals."""
     burnt_out: int = 245
-    """Value from which a pixel shows a lamp, of 255."""
+    """Pixel value (0 to 255) at and above which a pixel shows a lamp."""
     unclipped_light: float = 6e4
-    """Light that no exposure clips."""
+    """Light level that no exposure clips."""
     contact_map_texels: int = 1024
-    """Texels of the map of the sky that vehicles take from the road, over the same area."""
+    """Side of the map of the sky that vehicles hide from the road, texels. It covers the area of the shadow map."""
 
 
 RENDERER_LIMITS: Final = RendererLimits()
 
 
 class GLRenderer:
-    """Draws the frames of one recording."""
+    """OpenGL renderer of the frames of one recording."""
 
     def __init__(self, recording: Recording, on_light: Callable[[], None]) -> None:
-        """`on_light` is called before the light of the scenery is worked out, where no cache has it."""
+        """Prepare a recording.
+
+        `on_light` is called before the light of the scenery is computed, if it is not in the cache.
+        """
         camera = recording.camera
         self._recording, self._camera = recording, camera
         self._device = device()
@@ -89,7 +91,7 @@ class GLRenderer:
         self._image: Window = (0, 0, *size)
         self._project = projection(camera.K, self._image)
         self._geometry = self._device.target(size, ["4f4"])
-        # At night the picture stays linear light until the camera develops it.
+        # At night the image stays in linear light until the camera develops it.
         kind, self._read_as = ("f2", "f4") if self._background.daylight.dark else ("f1", "f1")
         self._color = self._device.target(
             (BACKGROUND_SAMPLING.vehicle_scale * size[0], BACKGROUND_SAMPLING.vehicle_scale * size[1]), [f"4{kind}"]
@@ -100,7 +102,7 @@ class GLRenderer:
         self._open = self._device.target(
             (RENDERER_LIMITS.contact_map_texels, RENDERER_LIMITS.contact_map_texels), ["1f1"], depth=False
         )
-        # The average of a pixel's samples is a look-up half way between them.
+        # Sampling halfway between the samples of a pixel returns their average.
         for texture in (*self._color.color_attachments, *self._open.color_attachments):
             texture.filter = (self._device.gl.LINEAR, self._device.gl.LINEAR)
         self._sun_clip, self._sun_map_from = light_projection(
@@ -118,7 +120,7 @@ class GLRenderer:
             "u_texel": 0.04 * 0.5 / RENDERER_LIMITS.shadowed_within_m,
         }
         self._options: tuple[str, ...] = ()
-        """Definitions that vehicles' programs are compiled with, for this recording's light."""
+        """Definitions with which the vehicles' programs are compiled for this recording's light."""
         background, middle = self._background, camera.position + self._background.focus
         self._beams = self._reflections = None
         if background.daylight.dark:
@@ -197,7 +199,7 @@ class GLRenderer:
     def _draw_frame(
         self, placed: Sequence[PlacedVehicle], blurred: Sequence[Moving], open_during: tuple[float, float]
     ) -> "_Drawn":
-        """Draw all of a frame, and wait for it once; `open_during` is that of `moving`."""
+        """Draw all of a frame, and wait for it once; `open_during` is the pair `before`, `after` of `moving`."""
         camera, pixels = self._camera, self._pixels
         pixels.forget()
         windows = [inside_image(vehicle.window, camera) for vehicle in placed]
@@ -209,7 +211,7 @@ class GLRenderer:
         for vehicle in apart:
             self._draw_silhouette(vehicle)
         changed = self._draw_color(placed, blurred, open_during)
-        # A window may touch the image though its hull does not.
+        # A window may touch the image although its hull does not.
         shown = union(tile_runs(changed, (camera.width, camera.height)) or [(0, 0, 1, 1)])
         pixels.ask(self._display, shown, self._read_as)
         if crowd:
@@ -228,9 +230,9 @@ class GLRenderer:
     # ----------------------------------------------------------------------------------- depth, ids and whole vehicles
 
     def _draw_geometry(self, placed: Sequence[PlacedVehicle], windows: Sequence[Window], *, whole: bool) -> None:
-        """Depth, slope and number of the nearest vehicle, whatever of the scenery stands before it.
+        """Draw depth, slope and number of the nearest vehicle, without occlusion by the scenery.
 
-        With `whole` the rest of the target is empty.
+        With `whole` the rest of the target is cleared.
         """
         program = self._device.program("geometry.vert.glsl", "geometry.frag.glsl", PARTS_DEFINITION)
         if whole:
@@ -243,7 +245,7 @@ class GLRenderer:
             vehicle.mesh.draw(program)
 
     def _draw_silhouette(self, placed: PlacedVehicle) -> None:
-        """A vehicle as if nothing stood before it, in its own window; ask for it."""
+        """Draw a vehicle without any occlusion in its own window, and request the pixels."""
         device, window = self._device, placed.window
         size = (window[2] - window[0], window[3] - window[1])
         target = _mask_target(device, _rounded_up(size))
@@ -261,7 +263,7 @@ class GLRenderer:
     def _draw_color(
         self, placed: Sequence[PlacedVehicle], blurred: Sequence[Moving], open_during: tuple[float, float]
     ) -> NDArray[np.bool_]:
-        """Draw the vehicles, their shadows, their lamps' light and their mirror images; returns in which tiles."""
+        """Draw the vehicles, their shadows, lamp light and mirror images; return a mask of the changed tiles."""
         camera, sun = self._camera, self._background.daylight.sun_direction
         size = (camera.width, camera.height)
         covered = tiles([vehicle.hull for vehicle in placed], size)
@@ -294,7 +296,7 @@ class GLRenderer:
         return covered | shaded | mirrored
 
     def _draw_shadows(self, placed: Sequence[PlacedVehicle]) -> None:
-        """The vehicles' shadow map, and the map of the sky that they leave the road."""
+        """Draw the vehicles' shadow map, and the map of the sky that they leave visible from the road."""
         device = self._device
         program = device.program("geometry.vert.glsl", "shadow.frag.glsl", PARTS_DEFINITION)
         self._sun_map.use()
@@ -319,16 +321,16 @@ class GLRenderer:
         device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
 
     def _vehicle_textures(self) -> dict[str, Any]:
-        """Textures that vehicles' programs sample besides the background: their shadows, the light of their lamps."""
+        """Return the textures that vehicles' programs sample in addition to the background: shadows and lamp light."""
         own = {"u_vehicle_sun_map": self._sun_map.depth_attachment}
         return own | ({"u_beams": self._beams.texture} if self._beams else {})
 
     def _draw_vehicles(
         self, target: Any, placed: Sequence[PlacedVehicle], places: Sequence[Window], *, peel: bool = False
     ) -> None:
-        """Draw the vehicles' picture into parts of a target, where the scenery does not hide them.
+        """Draw the vehicles into parts of a target where the scenery does not hide them.
 
-        With `peel` it is a plain one of what stands behind the vehicles shown.
+        With `peel`, draw a plain image of the objects behind the visible vehicles.
         """
         device, gl = self._device, self._device.gl
         uniforms = {**self._background.bind(), **self._uniforms}
@@ -362,11 +364,11 @@ class GLRenderer:
                 for vehicle in placed
             ),
         )
-        # Through the windows the insides of the far walls are seen.
+        # Windows show the inner sides of the far walls.
         device.context.cull_face = "front"
         draw("SOLID", ((vehicle, vehicle.coarse) for vehicle in near))
         device.context.cull_face = "back"
-        # Panes last, from far to near, over what is seen through them.
+        # Panes are drawn last, from far to near, over the objects that are visible through them.
         device.context.enable_only(gl.DEPTH_TEST | gl.CULL_FACE | gl.BLEND)
         device.context.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
         draw("PANES", ((vehicle, vehicle.panes) for vehicle in reversed(near)))
@@ -374,7 +376,7 @@ class GLRenderer:
     def _compose_picture(
         self, places: Sequence[Window], *options: str, uniforms: Mapping[str, Any] = MappingProxyType({})
     ) -> None:
-        """Put parts of the picture together."""
+        """Compose parts of the image."""
         if not places:
             return
         device, wet = self._device, ("WET",) if self._reflections else ()
@@ -393,14 +395,17 @@ class GLRenderer:
         device.tiles(program, places)
 
     def _bind_textures(self, textures: dict[str, Any]) -> dict[str, int]:
-        """Put textures into places after the background's; returns the uniforms."""
+        """Bind textures after those of the background; return the uniforms."""
         first = len(self._background.textures)
         for unit, texture in enumerate(textures.values(), start=first):
             texture.use(unit)
         return {name: unit for unit, name in enumerate(textures, start=first)}
 
     def _pulses(self, track_id: int) -> float:
-        """Pulses of a vehicle's lamps while the shutter is open: LED lamps are dimmed by switching; 0 for others."""
+        """Return the number of pulses of a vehicle's lamps while the shutter is open; 0 for lamps that are not pulsed.
+
+        LED lamps are dimmed by switching them.
+        """
         share = track_id * RENDERER_LIMITS.golden_fraction % 1.0
         return (
             0.0
@@ -409,7 +414,7 @@ class GLRenderer:
         )
 
     def _read_light(self) -> NDArray[np.float32]:
-        """(H, W, 4) linear light of the picture, and the light at which its exposures are full."""
+        """Return the linear light of the image and the light at which its exposures saturate, (H, W, 4)."""
         self._pixels.ask(self._display, self._image, "f4")
         (picture,) = self._pixels.fetch()
         return np.asarray(picture)
@@ -420,14 +425,14 @@ class GLRenderer:
         return np.ascontiguousarray(picture[..., :3])
 
     def _draw_behind(self, crowd: Sequence[PlacedVehicle]) -> None:
-        """The image behind vehicles that stand before others."""
+        """Draw the image behind vehicles that are in front of other vehicles."""
         size = (self._camera.width, self._camera.height)
         self._draw_vehicles(self._behind, crowd, tile_runs(tiles([v.hull for v in crowd], size), size), peel=True)
 
     def _contrast(
         self, placed: PlacedVehicle, own: NDArray[np.bool_], rgb: NDArray[np.uint8], drawn: "_Drawn"
     ) -> float:
-        """Mean difference, where a vehicle shows, between the picture and the one without it and its shadow."""
+        """Return the mean difference over a vehicle's visible pixels to the image without it and its shadow."""
         window = x0, y0, x1, y1 = inside_image(placed.window, self._camera)
         picture: NDArray[Any] = self._plain[y0:y1, x0:x1]
         if drawn.behind and placed in drawn.crowd:
@@ -440,7 +445,7 @@ class GLRenderer:
             picture = cv2.copyTo(np.ascontiguousarray(behind[..., :3]), there, picture.copy())
         shown = rgb[y0:y1, x0:x1]
         if self._night:
-            # A body is seen by its own contrast; lamps alone do not show it.
+            # A body is visible by its own contrast; lamps alone do not count.
             own = own & (shown.min(axis=-1) < RENDERER_LIMITS.burnt_out)
         difference = cv2.mean(cv2.absdiff(shown, picture), own.view(np.uint8))
         return sum(difference) / 3
@@ -452,10 +457,10 @@ class _Layer:
 
     window: Window
     pixels: NDArray[Any]
-    """(h, w, C)"""
+    """(h, w, C) pixel values."""
 
     def crop(self, window: Window) -> NDArray[Any]:
-        """The pixels of a window within the layer."""
+        """Return the pixels of a window within the layer."""
         x, y = self.window[:2]
         x0, y0, x1, y1 = window
         return self.pixels[y0 - y : y1 - y, x0 - x : x1 - x]
@@ -463,28 +468,31 @@ class _Layer:
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """Handles of what the device has drawn of a frame."""
+    """Handles of the results that the device has drawn for a frame."""
 
     layers: list[_Layer]
     """Depth, slope and number in the window of each vehicle."""
     masks: dict[int, NDArray[np.bool_]]
-    """Whole vehicles by their index, in their own windows."""
+    """Masks of whole vehicles by their index, in their own windows."""
     changed: NDArray[np.bool_]
-    """Tiles in which the picture is not that of the empty road."""
+    """Tiles in which the image differs from that of the empty road."""
     picture: _Layer
     behind: _Layer | None
-    """The view behind vehicles that stand before others."""
+    """The view behind vehicles that are in front of other vehicles."""
     crowd: list[PlacedVehicle]
-    """Vehicles whose windows cross others'."""
+    """Vehicles with windows that overlap those of other vehicles."""
 
 
 def _put_vehicle(
     layer: _Layer, number: int, depth: NDArray[np.float32], slope: NDArray[np.float32], ids: NDArray[np.int32]
 ) -> NDArray[np.bool_]:
-    """Put a vehicle into the frame where it is nearer than the scenery; returns where, in its window."""
+    """Put a vehicle into the frame where it is nearer than the scenery.
+
+    Return the mask of these pixels in its window.
+    """
     x0, y0, x1, y1 = layer.window
     there = slice(y0, y1), slice(x0, x1)
-    # OpenCV takes pixels apart and copies some of them many times faster than numpy.
+    # OpenCV splits pixels and copies selected pixels much faster than numpy.
     z, right, down, shown = cv2.split(layer.pixels)
     own = (shown == number) & (z < depth[there])
     mask = own.view(np.uint8)
@@ -495,14 +503,15 @@ def _put_vehicle(
 
 
 def _crosses_another(vehicle: PlacedVehicle, others: Iterable[PlacedVehicle]) -> bool:
-    """Whether a vehicle's window crosses that of another."""
+    """Return whether a vehicle's window overlaps that of another vehicle."""
     return any(crossing(vehicle.window, other.window) for other in others if other is not vehicle)
 
 
 def _footprint(placed: PlacedVehicle, middle: Array) -> Array:
-    """(6, 7) corners of two triangles around the ground that a vehicle takes sky from; (12, 7) with a trailer's.
+    """Return the corners (6, 7) of two triangles around the ground near a vehicle; (12, 7) with a trailer.
 
-    Their place in the map around `middle`, their place in the part's axes, half its length and width, and its height.
+    Columns: position in the map around `middle`, position in the part's axes, half its length and width, and its
+    height.
     """
     trailer, out = placed.vehicle.trailer, []
     bodies = [(placed.vehicle.size_lwh, 0.0, placed.T_world_chassis)]
@@ -522,7 +531,7 @@ def _footprint(placed: PlacedVehicle, middle: Array) -> Array:
 
 @cache
 def device() -> Device:
-    """This process's OpenGL device."""
+    """Return this process's OpenGL device."""
     return Device()
 
 
@@ -532,5 +541,5 @@ def _mask_target(device: Device, size: tuple[int, int]) -> Any:
 
 
 def _rounded_up(size: tuple[int, int]) -> tuple[int, int]:
-    """A size up to which targets are kept, so that few of them serve all silhouettes."""
+    """Return a rounded-up target size, so that few targets serve all silhouettes."""
     return tuple(1 << max(6, (side - 1).bit_length()) for side in size)  # type: ignore[return-value]

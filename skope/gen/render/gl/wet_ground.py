@@ -1,5 +1,4 @@
-"""Wet ground: the plane of the road, in which it mirrors what stands on it, and the vehicles' mirror images, drawn half
-as fine as the image."""
+"""Wet ground: the plane of the mirroring road, and the vehicles' mirror images at half the image's resolution."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,13 +20,13 @@ class WetGroundLimits:
     """Plane and blur of mirror images on wet ground."""
 
     plane_depth_m: float = 45.0
-    """Depth up to which the plane is fitted to the ground, metres."""
+    """Maximum depth at which the plane is fitted to the ground, metres."""
     level_normal_z: float = 0.97
-    """Least z of a normal of the ground."""
+    """Minimum z of the ground's normal."""
     blur_px: int = 64
-    """Blur of a mirror image up and down by water in an image 1920 pixels wide (see blur.glsl), pixels."""
+    """Vertical blur of a mirror image by water, pixels of an image that is 1920 pixels wide (see blur.glsl)."""
     mirrored_within_m: float = 90.0
-    """Vehicles farther from the camera than this are not mirrored, metres."""
+    """Maximum distance from the camera at which vehicles are mirrored, metres."""
 
 
 WET_GROUND: Final = WetGroundLimits()
@@ -38,7 +37,7 @@ class Plane:
     normal: Array
     """(3,) unit normal, upwards."""
     distance: float
-    """Height of the camera over the plane, metres."""
+    """Height of the camera above the plane, metres."""
 
     @property
     def uniform(self) -> Array:
@@ -46,7 +45,7 @@ class Plane:
 
     @property
     def mirror(self) -> Array:
-        """(4, 4) reflection in it, in world axes relative to the camera."""
+        """Return the reflection (4, 4) in the plane, in world axes relative to the camera."""
         out = np.eye(4)
         out[:3, :3] -= 2 * np.outer(self.normal, self.normal)
         out[:3, 3] = -2 * self.distance * self.normal
@@ -54,9 +53,12 @@ class Plane:
 
 
 def plane_of(camera: Camera, depth: NDArray[np.float32], slope: NDArray[np.float32]) -> Plane:
-    """The plane nearest to the level ground in view; below the camera when there is none.
+    """Fit a plane to the level ground in view; without level ground, return a plane below the camera.
 
-    `depth` (H, W) is +inf for sky; `slope` (H, W, 2) its change per pixel.
+    Args:
+        camera: The image's camera.
+        depth: (H, W) metres, +inf for the sky.
+        slope: (H, W, 2) change of depth per pixel.
     """
     step = max(1, camera.width // 160)
     z, dz = depth[::step, ::step].astype(np.float64), slope[::step, ::step].astype(np.float64)
@@ -90,7 +92,7 @@ def uniforms_of(plane: Plane) -> dict[str, Any]:
 
 class Reflections:
     def __init__(self, device: Device, camera: Camera, road: Plane, scenery_depth: Any, *options: str) -> None:
-        """`scenery_depth` is a texture of what hides vehicles in the mirror."""
+        """Create the targets; `scenery_depth` is a texture of the scenery that hides vehicles in the mirror."""
         self._device, self._camera, self._road, self._options = device, camera, road, options
         self._target = device.target(scenery_depth.size, ["4f2"])
         (self.texture,) = self._target.color_attachments
@@ -109,9 +111,9 @@ class Reflections:
     def draw(
         self, placed: Sequence[PlacedVehicle], uniforms: Mapping[str, Any], units: Mapping[str, Any]
     ) -> NDArray[np.bool_]:
-        """Draw mirror images; returns the tiles of the image that they may touch once they are blurred.
+        """Draw mirror images; return the tiles of the image that they may touch after blurring.
 
-        `uniforms` are the vehicles' own, `units` how many textures are bound for them.
+        `uniforms` are those of the vehicles; `units` gives the number of textures that are bound for them.
         """
         device, camera = self._device, self._camera
         size = (camera.width, camera.height)
@@ -119,7 +121,7 @@ class Reflections:
         hulls = [mirror_hull_of(one.vehicle, one.T_world_parts, camera, self._road.mirror) for one in near]
         reach = -(-round(WET_GROUND.blur_px * size[0] / 1920) // WINDOW_LIMITS.tile_px)
         around = cv2.dilate(tiles(hulls, size).astype(np.uint8), np.ones((2 * reach + 1, 3), np.uint8)) > 0
-        # The blur looks beyond these tiles too.
+        # The blur samples beyond these tiles too.
         self._target.clear(0, 0, 0, 0)
         half = [(x0 // 2, y0 // 2, -(-x1 // 2), -(-y1 // 2)) for x0, y0, x1, y1 in tile_runs(around, size)]
         unit = len(units)

@@ -1,4 +1,4 @@
-// Adds a share of two textures to the targets (with additive blending).
+// Add a share of two textures to the targets (with additive blending).
 #version 430
 in vec2 v_pixel;
 uniform sampler2D u_a;

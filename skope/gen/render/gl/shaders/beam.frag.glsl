@@ -1,7 +1,7 @@
-// Irradiance of the road by a vehicle's lamps: red: by its low beams, which light a pool with a sharp near edge where the
-// bumper cuts them off, and the road ahead, farther on the right; green, where WASH: by its rear lamps.
+// Irradiance of the road from a vehicle's lamps. Red: from its low beams, which light an area with a sharp near edge, where
+// the bumper cuts them off, and the road ahead, farther on the right. Green with WASH: from its rear lamps.
 #version 430
-in vec2 v_local;   // metres ahead of the bumper (behind it where WASH: negative) and to the left
+in vec2 v_local;   // metres ahead of the bumper (with WASH behind it, negative) and to the left
 flat in vec3 v_size;
 out vec4 out_light;
 

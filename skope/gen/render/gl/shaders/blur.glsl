@@ -1,6 +1,6 @@
 uniform float u_pixels;  // image pixels per pixel of a 1920 pixels wide image
-// Where, in pixels beside its own place, a pixel of wet ground mirrors: up and down far more than sideways, as ripples
-// and grains tilt the mirror. Standing water hardly moves it.
+// Offset in pixels of the mirror image at a pixel of wet ground: much larger vertically than horizontally, because ripples
+// and grains tilt the mirror. Standing water has little offset.
 vec2 blurred(vec2 pixel, int tap, int taps, bool stands) {
     vec3 p = fract(floor(pixel).xyx * vec3(0.1031, 0.1030, 0.0973));  // Hoskins' hash
     p += dot(p, p.yzx + 33.33);

@@ -1,4 +1,4 @@
-// Shared by all programs: sky radiance, materials and their patterns, noise.
+// Functions of all programs: sky radiance, materials and their patterns, noise.
 // Units: metres and linear light; world axes x east, y north, z up; positions relative to the camera.
 
 uniform vec3 u_eye;            // camera position in the world
@@ -6,17 +6,17 @@ uniform vec3 u_sun_direction;  // towards the sun
 uniform vec3 u_sun;            // irradiance of the sun on a surface that faces it
 uniform vec3 u_zenith;         // sky radiance overhead
 uniform vec3 u_horizon;        // sky radiance at the horizon
-uniform vec3 u_afterglow;      // what the horizon has more over the sun that has set
-uniform vec2 u_sunset;         // direction of that
+uniform vec3 u_afterglow;      // extra radiance of the horizon above the sun after sunset
+uniform vec2 u_sunset;         // direction of the afterglow
 uniform vec3 u_ground;         // radiance of the ground seen from above
-uniform vec3 u_bounced;        // mean radiance of what street lights light around
+uniform vec3 u_bounced;        // mean radiance of the surroundings that street lights light
 uniform float u_cloud;         // 0 clear sky .. 1 overcast
 uniform sampler2D u_noise;     // four independent value noises, tileable
 uniform vec4 u_albedo[MATERIAL_COUNT];  // linear colour; w: roughness
 
 const float PI = 3.14159265;
 
-// Linear colour and roughness; colours that materials are named by are numbers with four bits a channel (see context.py).
+// Linear colour and roughness; colours as material names are numbers with four bits per channel (see context.py).
 vec4 albedo_of(int material) {
     if (material < MATERIAL_COUNT) return u_albedo[material];
     int own = material - MATERIAL_COUNT;
@@ -41,7 +41,7 @@ vec3 sky(vec3 d) {
     return mix(color, cloud, cover);
 }
 
-// What a mirror sees in a direction: sky above, street and walls below and at the horizon.
+// Surroundings in a direction: sky above, street and walls below and at the horizon.
 vec3 surroundings(vec3 d) {
     vec3 above = open_sky(vec3(d.xy, max(d.z, 0.02)));
     vec3 walls = 0.45 * u_ground + 0.08 * u_horizon;

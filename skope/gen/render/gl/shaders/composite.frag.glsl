@@ -1,6 +1,6 @@
-// The picture: scenery, in the vehicles' shadow where SHADOWS, with vehicles over it where VEHICLES; LAMPS when it is
-// dark, WET when the road mirrors, REFLECTIONS where it mirrors vehicles; BLUR around a vehicle that
-// moves; HAZE when the air between shows within the reach of vehicles' shadows; LINEAR for a night picture, which stays
+// Compose the image from scenery and vehicles. SHADOWS: shadows of vehicles. VEHICLES: vehicles over the scenery. LAMPS: at
+// night. WET: the road mirrors. REFLECTIONS: it mirrors vehicles. BLUR: around a vehicle that
+// moves. HAZE: the air is visible within the reach of vehicles' shadows. LINEAR: an image at night, which stays
 // linear light: red, green and blue of two blended exposures, and in alpha the light at which their blend is full.
 #version 430
 #include "display.glsl"
@@ -10,43 +10,43 @@ in vec3 v_sun_ray;
 uniform sampler2D u_ambient;      // scenery's light, by part, exposed
 uniform sampler2D u_sunlit;
 uniform sampler2D u_background;   // depth of the scenery, 0 for sky
-uniform sampler2D u_vehicles;     // the vehicles' picture and coverage, 2 x 2 samples per pixel
-uniform sampler2D u_open;         // share of the sky that the vehicles leave the road
+uniform sampler2D u_vehicles;     // colour and coverage of the vehicles, 2 x 2 samples per pixel
+uniform sampler2D u_open;         // share of the sky that is visible from the road between vehicles
 uniform sampler2DShadow u_vehicle_sun_map;
-uniform vec3 u_sun_at;            // in that map: the camera, lifted a little
-uniform vec2 u_open_at;           // in the map of the open sky: the camera
+uniform vec3 u_sun_at;            // position of the camera in that map, slightly raised
+uniform vec2 u_open_at;           // position of the camera in the map of the open sky
 uniform float u_open_scale;       // maps per metre
-uniform float u_eye_height;       // metres above the road
-uniform float u_texel;            // of the vehicles' sun map, per 4 cm
+uniform float u_eye_height;       // height of the camera above the road, metres
+uniform float u_texel;            // 4 cm in the vehicles' sun map, texture coordinates
 out vec4 out_color;
 #ifdef LAMPS
-uniform sampler2D u_beams;        // irradiance of the road by headlights; by rear lamps
-uniform vec3 u_beam_light;        // their colour, exposed
+uniform sampler2D u_beams;        // irradiance of the road from headlights; from rear lamps
+uniform vec3 u_beam_light;        // colour of the lamps, exposed
 uniform vec3 u_wash_light;
 #endif
 #ifdef BLUR
 uniform sampler2D u_front;        // depth, slopes, id of the nearest vehicle
-uniform vec2 u_way;               // of this one while the shutter is open, pixels
-uniform vec2 u_open_during;       // that time: before the moment that is labelled, as shares of its length
+uniform vec2 u_way;               // motion of this vehicle while the shutter is open, pixels
+uniform vec2 u_open_during;       // start and end of the exposure before the labelled moment, as shares of its length
 uniform float u_id;
-uniform float u_nearest;          // its least depth
+uniform float u_nearest;          // minimum depth of this vehicle
 #endif
 #ifdef WET
 #include "blur.glsl"
-uniform sampler2D u_reflected;    // what the road mirrors of the scenery, exposed; w: which share it mirrors
-uniform sampler2D u_reflections;  // the vehicles' mirror images and coverage, exposed, half as fine as the image
+uniform sampler2D u_reflected;    // mirror image of the scenery on the road, exposed; w: share that the road mirrors
+uniform sampler2D u_reflections;  // the vehicles' mirror images and coverage, exposed, at half the image's resolution
 #endif
 
 #ifdef LINEAR
-uniform float u_full;             // light at which the long exposure is full
-uniform vec2 u_short;             // share of the short exposure in the blend; how much more light fills it
+uniform float u_full;             // light at which the long exposure saturates
+uniform vec2 u_short;             // share of the short exposure in the blend; ratio of its range to that of the long exposure
 #ifdef BLUR
 uniform float u_pulses;           // pulses of this vehicle's lamps while the shutter is open; 0 for a steady light
 #endif
 
 float brightest(vec3 light) { return max(light.r, max(light.g, light.b)); }
 
-// The light at which the blend of both exposures is full, where they have this much of it.
+// Light at which the blend of both exposures saturates, for this light in each exposure.
 float full_at(vec3 long_exposed, vec3 short_exposed) {
     return mix(min(brightest(long_exposed), u_full), min(brightest(short_exposed), u_full * u_short.y), u_short.x);
 }
@@ -71,14 +71,14 @@ void main() {
     float depth = texelFetch(u_background, pixel, 0).r;
     sunlit *= lit(u_vehicle_sun_map, u_sun_at + v_sun_ray * depth, u_texel);
     vec2 open_at = u_open_at + v_ray.xy * (depth * u_open_scale);
-    // Beyond the map nothing is taken; its rim would stretch to the horizon.
+    // No sky is hidden outside the map; otherwise its edge would extend to the horizon.
     bool on_map = all(lessThan(abs(open_at - 0.5), vec2(0.5)));
     float open = on_map ? texture(u_open, open_at).r : 1.0;
-    // The map holds for the road; walls and poles beside a vehicle see more of the sky the higher up they are.
+    // The map applies to the road; walls and poles beside a vehicle see more of the sky the higher they are.
     float above = clamp((v_ray.z * depth + u_eye_height) * 0.8 - 0.1, 0.0, 1.0);
     float kept = mix(open, 1.0, above), through = 1.0;
 #ifdef HAZE
-    // A vehicle takes nothing from the air before the road.
+    // A vehicle does not reduce the light of the air in front of the road.
     float away = length(v_ray), metres = max(depth, 0.0) * away;
     vec3 air = exposed(vec3(0.0), metres, 1.0 / away);
     ambient = air + (ambient - air) * kept;
@@ -128,7 +128,7 @@ void main() {
             vec4 passing = texture(u_vehicles, (floor(at) + 0.5) / vec2(textureSize(u_ambient, 0)));
             vec3 then = texelFetch(u_front, ivec2(at), 0).a == u_id ? behind * (1.0 - passing.a) + passing.rgb : behind;
 #ifdef LINEAR
-            // Only lamps are so bright: they pulse, bodies do not.
+            // Only lamps exceed this brightness; they pulse, bodies do not.
             if (u_pulses > 0.0 && brightest(then) > 4.0 * u_full) then *= 2.0 * step(0.5, fract(when * u_pulses));
 #endif
             sum += then;

@@ -1,8 +1,8 @@
 // Ground around a vehicle, in the map of the open sky.
 #version 430
-in vec2 in_at;        // in the map, -1..1
-in vec2 in_local;     // in the vehicle's axes, metres from the middle of its footprint
-in vec3 in_size;      // half its length, half its width, its height, metres
+in vec2 in_at;        // position in the map, -1..1
+in vec2 in_local;     // position in the vehicle's axes, metres from the middle of its footprint
+in vec3 in_size;      // half the vehicle's length, half its width, its height, metres
 out vec2 v_local;
 flat out vec3 v_size;
 

@@ -1,4 +1,4 @@
-// What the camera shows of light from 2^u_low to 2^u_high, column by column.
+// The camera's output for light from 2^u_low to 2^u_high, one value per column.
 #version 430
 #include "display.glsl"
 in vec2 v_pixel;

@@ -1,18 +1,18 @@
-// From light to the picture: exposure, haze, lens shading, filmic curve, sRGB.
+// From light to the image: exposure, haze, lens shading, filmic curve, sRGB.
 
 uniform vec3 u_exposure;         // with the white balance
 uniform vec3 u_haze;             // radiance of the air
 uniform float u_haze_density;    // 1 / m
-uniform float u_vignetting;      // light lost at 45 degrees off the axis, as a share
+uniform float u_vignetting;      // share of the light that is lost 45 degrees off the axis
 
-// Far above what any exposure shows, and so that a sum of several fits into half precision: an infinite value would turn
-// into none at all where it is weighted with 0, and spread as glare.
+// Far above any exposure, but small enough that a sum of several fits into half precision. An infinite value would become
+// NaN when it is weighted with 0, and spread as glare.
 const float MOST_LIGHT = 1.5e4;
 
-// `cosine` is that of the angle off the axis.
+// `cosine`: cosine of the angle off the axis.
 vec3 exposed(vec3 light, float metres, float cosine) {
     float shade = 1.0 - 2.0 * u_vignetting * (1.0 - cosine * cosine);
-    // At thin edges, what is interpolated between corners may lie beyond them: light is not negative there.
+    // At thin edges, interpolated values may lie outside the range of the corners; light must not become negative.
     return clamp(mix(u_haze, light, exp(-metres * u_haze_density)) * u_exposure * shade, 0.0, MOST_LIGHT);
 }
 
@@ -25,7 +25,7 @@ vec3 display(vec3 x) {
 }
 
 #ifdef LINEAR
-// The picture stays linear light: the camera's exposures and its curve follow on the processor.
+// The image stays linear light; the camera's exposures and its curve follow on the processor.
 vec3 shown(vec3 light) { return light; }
 #else
 vec3 shown(vec3 light) { return display(light); }

@@ -1,4 +1,4 @@
-// Planar depth at the pixel's centre, its exact change per pixel on the triangle shown, and the instance.
+// Planar depth at the pixel's centre, its exact change per pixel on the visible triangle, and the instance.
 #version 430
 #include "leaves.glsl"
 in vec3 v_local;
@@ -9,8 +9,8 @@ void main() {
 #ifdef LEAVES
     if (leaf_gap(v_local)) discard;
 #endif
-    // Inverse depth (the clip space's 1 / w) is linear in the image on a plane: its differences are exact wherever they
-    // are taken, and it is nearer to the truth than a depth interpolated between far corners.
+    // Inverse depth (1 / w in clip space) is linear in the image on a plane. Its differences are exact wherever they
+    // are taken, and it is more accurate than a depth interpolated between distant corners.
     float inverse = gl_FragCoord.w, depth = 1.0 / inverse;
     out_geometry = vec4(depth, -vec2(dFdx(inverse), dFdy(inverse)) * depth * depth, u_id);
 }

@@ -1,5 +1,5 @@
-// Places a mesh: u_model takes the points of each of its parts to the camera frame (x right, y down, z forward),
-// u_project to the window.
+// Place a mesh: u_model transforms the points of each part to the camera frame (x right, y down, z forward),
+// u_project from there to the window.
 #version 430
 in vec3 in_position;
 in vec3 in_normal;

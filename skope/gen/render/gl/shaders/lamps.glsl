@@ -1,16 +1,16 @@
-// Light of what burns at night: street lights, the camera's own lamp, lit windows.
-uniform vec3 u_street_light;             // radiant intensity of each
-uniform vec4 u_luminaires[MOST_LAMPS];        // where they are; w: 1
+// Light at night: street lights, the camera's own lamp, lit windows.
+uniform vec3 u_street_light;             // radiant intensity of each light
+uniform vec4 u_luminaires[MOST_LAMPS];        // positions of the lights; w: 1
 uniform int u_lamp_count;
-uniform bool u_all_lit;                  // whether all street lights burn, not only these
+uniform bool u_all_lit;                  // whether all street lights burn, not only those of u_luminaires
 uniform mat4 u_lamp_map_from[SHADOWED_LAMPS];
-uniform int u_shadowed;                  // that many have shadow maps, side by side in one texture
+uniform int u_shadowed;                  // number of lights with shadow maps, side by side in one texture
 uniform sampler2DShadow u_lamp_maps;
-uniform float u_own_lamp;                // radiant intensity of the camera's
+uniform float u_own_lamp;                // radiant intensity of the camera's own lamp
 uniform float u_lit_windows;
 
-// Intensity of a street light towards a point: most at 65 degrees off straight down, so that the road is lit evenly, and
-// next to none above 75. `down` is the cosine of that angle.
+// Intensity of a street light towards a point: highest at 65 degrees from straight down, so that the road is lit evenly, and
+// almost none above 75. `down` is the cosine of that angle.
 float luminaire(float down) { return smoothstep(0.2, 0.42, down) * (2.1 - 1.6 * down); }
 
 // Irradiance of one lamp without shadows.
@@ -45,7 +45,7 @@ uniform vec4 u_pools[MOST_POOLS];        // patches of light on the road: middle
 uniform vec4 u_pool_shapes[MOST_POOLS];  // half length, half width, height
 uniform vec4 u_pool_light[MOST_POOLS];   // irradiance
 
-// Light of what is outside the picture: an edge that is sharp on the near side, and a long tail.
+// Light of lamps outside the image: an edge that is sharp on the near side, and a long tail.
 vec3 pool_light(vec3 at) {
     vec3 sum = vec3(0.0);
     for (int i = 0; i < MOST_POOLS; ++i) {
@@ -62,12 +62,12 @@ vec3 emission(vec3 p, vec3 n) {
     if (v_material == M_LUMINAIRE) {
         bool lit = u_all_lit;
         for (int i = 0; i < u_lamp_count && !lit; ++i) lit = distance(u_luminaires[i].xyz, p - u_eye) < 1.0;
-        // Its own faces and the arm scatter a little to all sides.
+        // The lamp's own faces and its arm scatter a little light in all directions.
         float down = normalize(p - u_eye).z;
         return lit ? u_street_light * (1.0 + 4.0 * luminaire(down)) : vec3(0.0);
     }
 #ifdef LEAVES
-    // Lit from below by lamps as strong as the town's: brightest on what looks down.
+    // Lit from below by lamps as strong as the town's: brightest on surfaces that face down.
     if (v_material == M_LEAVES_LIT) return u_albedo[v_material].rgb * u_street_light * 0.014 * leaf_tone(v_local) * smoothstep(1.0, -0.7, n.z);
 #endif
 #if defined(GROUND) && defined(POOLS)
@@ -75,17 +75,17 @@ vec3 emission(vec3 p, vec3 n) {
 #endif
 #ifdef OTHERS
     if (v_material == M_WOODS) {
-        // Lamps of what lies far away, in one of 50 squares of 9 m.
+        // Lamps of distant buildings, in one of 50 squares of 9 m.
         vec2 square = floor(p.xy / 9.0);
         vec4 luck = fract(sin(dot(square, vec2(12.9898, 78.233))) * vec4(43758.5453, 9137.31, 3517.7, 771.13));
         bool lamp = luck.x < 0.02 && distance(p.xy, 9.0 * (square + 0.2 + 0.6 * luck.yz)) < 0.7;
         return lamp ? mix(vec3(1.0, 0.55, 0.25), vec3(0.9, 0.95, 1.0), luck.w) * 6.0 : vec3(0.0);
     }
     if (v_material >= M_SIGN_RED && v_material <= M_LIT_DIM) {
-        // Signs shine back what headlamps throw at them; boxes and dots are to be read; lamps burn out.
+        // Signs return the light of headlamps. Boxes and dots must stay readable. Lamps are overexposed.
         if (v_material >= M_LAMP_WHITE && v_material <= M_LAMP_RED) return u_albedo[v_material].rgb * 14.0;
         float radiance = v_material <= M_SIGN_GREEN ? 0.012 : v_material == M_LIT_DIM ? 0.02 : 0.06;
-        // Boards are dimmed where the town is darker.
+        // Boards are dimmed in darker towns.
         return u_albedo[v_material].rgb * radiance * min(0.25 + 0.09 * u_street_light.g, 1.2);
     }
     bool shop = v_material == M_SHOP_WINDOW, cloth = v_material == M_CURTAIN || v_material == M_BLIND;

@@ -1,4 +1,4 @@
-// Where anything is drawn at all.
+// Mask of all pixels that are drawn.
 #version 430
 out vec4 out_mask;
 

@@ -1,4 +1,4 @@
-// What a mirror sees, over all directions in an octahedral map (Cigolle et al. 2014).
+// Surroundings for reflections, over all directions in an octahedral map (Cigolle et al. 2014).
 #version 430
 #include "common.glsl"
 in vec2 v_pixel;

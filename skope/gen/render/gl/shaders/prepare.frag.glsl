@@ -1,5 +1,5 @@
-// Empties parts of a target. With SCENERY it puts the scenery's depth into the depth buffer, so that what the scenery
-// hides is never shaded; STEP is how many of that depth's samples there are per sample of the target, on each axis.
+// Clear parts of a target. SCENERY: write the scenery's depth to the depth buffer, so that pixels that the scenery
+// hides are never shaded. STEP: number of samples of that depth per sample of the target, on each axis.
 #version 430
 uniform sampler2D u_scenery;
 out vec4 out_color;

@@ -1,4 +1,4 @@
-// Depth only; of LEAVES with the gaps between them, of what is MIRRORED only what stands on the road.
+// Depth only. LEAVES: with the gaps between leaves. MIRRORED: only objects that are on the road.
 #version 430
 #include "leaves.glsl"
 in vec3 v_local;

@@ -1,6 +1,6 @@
-// One sample of the scenery's light: what one direction of the sky, one point of the sun's disc and the street lights
-// send to the camera. Averaged over many samples with jittered pixels this is anti-aliased, with soft shadows and true
-// sky occlusion. LAMPS when street lights burn, WET for wet ground, SNOW when snow lies, MIRRORED for what wet ground mirrors.
+// One sample of the scenery's light: what it receives from one direction of the sky, one point of the sun's disc and the
+// street lights, and sends to the camera. Averaged over many samples with jittered pixels this is anti-aliased, with soft shadows and true
+// sky occlusion. LAMPS: street lights burn. WET: wet ground. SNOW: snow on the ground. MIRRORED: mirror image on wet ground.
 #version 430
 #include "leaves.glsl"
 #include "common.glsl"
@@ -12,11 +12,11 @@ uniform mat4 u_sun_map_from;  // world axes, relative to the camera -> shadow ma
 uniform mat4 u_sky_map_from;
 uniform vec3 u_sky_direction;
 uniform vec3 u_sky_radiance;
-uniform vec3 u_viewer;        // where it is seen from
+uniform vec3 u_viewer;        // position of the viewer
 uniform sampler2DShadow u_sun_map;
 uniform sampler2DShadow u_sky_map;
 layout(location = 0) out vec4 out_ambient;  // light; w: albedo
-layout(location = 1) out vec4 out_sun;      // light; w: share of it that water mirrors, and u_standing more where water stands
+layout(location = 1) out vec4 out_sun;      // light; w: share that water mirrors, plus u_standing where water stands
 
 #include "surface.glsl"
 #ifdef LAMPS
@@ -36,7 +36,7 @@ void main() {
     if (leaf_gap(v_local)) discard;
 #endif
     vec3 n = normalize(v_normal), view = normalize(u_viewer - v_world);
-    // Opposite normals of neighbouring corners cancel out half way.
+    // Opposite normals of neighbouring corners cancel out halfway between them.
     if (!(dot(n, n) > 0.5)) n = view;
     if (dot(n, view) < 0.0) n = -n;
     float gloss;
@@ -47,12 +47,12 @@ void main() {
     float open = texture(u_sky_map, (u_sky_map_from * vec4(lifted, 1.0)).xyz);
     float facing = max(dot(n, u_sun_direction), 0.0), up = max(dot(n, u_sky_direction), 0.0);
 #ifdef LEAVES
-    // Light comes through them and from all sides.
+    // Light passes through leaves and comes from all sides.
     facing = 0.35 + 0.4 * facing;
     up = 0.3 + 0.4 * up;
 #endif
 
-    // One direction, drawn evenly over the hemisphere, stands for all of it.
+    // One direction, sampled uniformly over the hemisphere, represents all of it.
     vec3 light = 2.0 * u_sky_radiance * up * open + u_ground * 0.5 * (1.0 - n.z);
 #ifdef LAMPS
     light += lamplight(lifted, n) / PI;
@@ -61,7 +61,7 @@ void main() {
     float f = gloss * fresnel(dot(n, view), 0.06), water = 0.0;
     vec3 sun_glint = vec3(0.0);
 #if defined(GROUND) && defined(WET)
-    vec2 film = water_on(v_world + u_eye, n);  // how wet, and whether water stands
+    vec2 film = water_on(v_world + u_eye, n);  // wetness, and whether water stands
     color *= mix(1.0, v_material == M_MARKING ? 0.8 : 0.52, film.x);
     water = fresnel(dot(n, view), 0.045) * mix(0.9, 1.0, film.y) * film.x;
     sun_glint = water * ggx(n, view, u_sun_direction, mix(0.32, 0.12, film.y)) * u_sun * sun;
@@ -71,7 +71,7 @@ void main() {
     out_sun.rgb = (color / PI * facing * (1.0 - f - water) + gloss * f * 2.0 * pow(max(dot(mirrored, u_sun_direction), 0.0), 400.0)) * u_sun * sun + sun_glint;
     out_sun.a = water;
 #if defined(GROUND) && defined(WET)
-    // Told apart from the mean of the samples; a sign would cancel out where they differ.
+    // The offset can be separated from the mean of the samples; a negative sign would cancel out if samples differ.
     if (film.y > 0.5) out_sun.a += u_standing;
 #endif
 #ifdef LAMPS

@@ -1,10 +1,10 @@
-// Albedo of the scenery's materials with their patterns, which all come from the noise texture. A program is made for
-// GROUND, WALLS, LEAVES or OTHERS: on a processor every branch that is compiled is paid for at every pixel.
+// Albedo of the scenery's materials with their patterns, which all use the noise texture. There is one program each for
+// GROUND, WALLS, LEAVES and OTHERS, because a processor evaluates every compiled branch at every pixel.
 vec4 noise(vec2 at, float metres) { return texture(u_noise, at / metres); }
 
 bool between(int first, int last) { return v_material >= first && v_material <= last; }
 
-// 1 along the edges of cells, for `at` counted in cells and `width` the share of a cell that a joint takes.
+// 1 along the edges of cells, with `at` in cells and `width` the share of a cell that a joint covers.
 float joints(vec2 at, vec2 width) {
     vec2 edge = min(fract(at), 1.0 - fract(at));
     return 1.0 - step(width.x, edge.x) * step(width.y, edge.y);
@@ -15,10 +15,10 @@ uniform float u_wetness;
 uniform float u_puddles;
 uniform float u_standing;
 
-// How wet level ground is, and whether water stands there: where it drains last it dries last.
+// Wetness of level ground, and whether water stands there. Ground that drains last dries last.
 vec2 water_on(vec3 p, vec3 n) {
     mat2 turn = mat2(0.82, 0.57, -0.57, 0.82);
-    // Water evens out what is small.
+    // Water smooths small details.
     vec4 hollows = textureLod(u_noise, turn * p.xy / 23.0, 3.5), dips = textureLod(u_noise, (turn * turn * p.xy + 1.3) / 8.0, 4.0);
     float low = 0.6 * hollows.b + 0.4 * dips.r;
     float level = smoothstep(0.8, 0.97, n.z), soaks = float(between(M_MEADOW, M_GRASS) || v_material == M_SOIL || v_material == M_GRAVEL);
@@ -32,7 +32,7 @@ vec2 water_on(vec3 p, vec3 n) {
 #ifdef SNOW
 uniform float u_snow;
 
-// Share of a place that snow covers: level ground first, roads last, where wheels clear tracks; `bare` is what melts it.
+// Share of a point that snow covers: level ground first, roads last, because wheels clear tracks. `bare`: melted share.
 float snow_on(vec3 p, vec3 n, out float slush) {
     float broad = noise(p.xy, 19.0).r, fine = noise(p.xy, 2.3).g, bare = 0.0;
     slush = 0.0;
@@ -63,7 +63,7 @@ void leaf_color(vec3 p, inout vec3 color) {
 uniform vec4 u_pattern_first[MATERIAL_COUNT];   // linear colour; w: size, metres
 uniform vec4 u_pattern_second[MATERIAL_COUNT];  // linear colour; w: motif (see materials.py) and turn, 0 for no pattern
 
-// The material's random pattern of two colours, worn as much as its own colour is.
+// Random two-colour pattern of a material, with the wear of its own colour.
 vec3 patterned(vec2 at, float footprint, vec3 own) {
     vec4 first = u_pattern_first[v_material], second = u_pattern_second[v_material];
     int motif = int(second.w);
@@ -82,7 +82,7 @@ vec3 patterned(vec2 at, float footprint, vec3 own) {
 }
 #endif
 
-// Tangent coordinates run along a wall and up it; gloss is the share of light that a pane of glass mirrors.
+// Tangent coordinates run along a wall and up it; gloss is the reflectance relative to one face of a glass pane.
 vec3 albedo(vec3 p, vec3 n, out float gloss) {
 #ifdef OTHERS
     vec3 color = albedo_of(v_material).rgb;
@@ -93,7 +93,7 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
     float footprint = length(fwidth(p));  // metres that a pixel covers: patterns finer than that fade to their mean
     bool level = abs(n.z) > 0.75;
     vec2 at = level ? p.xy : vec2(dot(p.xy, normalize(vec2(-n.y, n.x) + 1e-6)), p.z);
-    // Turned against each other and against walls and streets, the noises' tiles do not show.
+    // The noises are rotated relative to each other, walls and streets, which hides their tiling.
     mat2 turn = mat2(0.82, 0.57, -0.57, 0.82);
     vec4 broad = noise(turn * at, 31.0), middle = noise(turn * turn * at + 3.7, 5.9), fine = noise(turn * turn * turn * at, 2.1);
     vec4 streaks = noise(vec2(at.x, at.y * 0.22) + 11.0, 2.7);
@@ -168,7 +168,7 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
         color *= 0.84 + 0.2 * middle.r + 0.12 * (fine.g - 0.5);
     }
     if (above < 1.2) {
-        // Rain splashes dirt on walls' feet.
+        // Rain splashes dirt on the foot of walls.
         color *= mix(vec3(0.66, 0.62, 0.55), vec3(1.0), smoothstep(0.0, 0.25 + 0.7 * middle.r, above));
     }
 #elif defined(LEAVES)
@@ -208,7 +208,7 @@ vec3 albedo(vec3 p, vec3 n, out float gloss) {
     } else if (v_material == M_BARK || v_material == M_CABINET || v_material == M_ZINC) {
         color *= 0.8 + 0.35 * fine.g;
     } else if (v_material == M_WINDOW || v_material == M_SHOP_WINDOW) {
-        // A dark room: lighter where its walls and things catch the daylight.
+        // A dark room, lighter where its walls and furniture catch the daylight.
         bool shop = v_material == M_SHOP_WINDOW;
         float room = texture(u_noise, floor(at / vec2(1.4, 2.9)) * 0.319).r;
         color *= 0.3 + 0.7 * room;

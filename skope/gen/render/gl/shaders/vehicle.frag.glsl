@@ -1,7 +1,7 @@
-// A vehicle's picture: paint under a clear coat, glass, rubber, chrome, lamps; lit by sun and sky, mirroring both.
-// SOLID is everything but the panes, PANES those alone, over what is seen through them; PEEL a plain picture of what
-// stands behind the vehicle shown; REFLECTION its light as wet ground mirrors it. LAMPS when street lights burn, SNOW when
-// snow lies.
+// Colour of a vehicle: paint under a clear coat, glass, rubber, chrome and lamps. Sun and sky light it and are mirrored.
+// SOLID: everything except the panes. PANES: only the panes, over what is visible through them. PEEL: a plain image of
+// the objects behind the visible vehicle. REFLECTION: its mirror image on wet ground. LAMPS: street lights burn.
+// SNOW: there is snow on the ground.
 #version 430
 #include "common.glsl"
 #include "display.glsl"
@@ -14,27 +14,27 @@ in float v_open;
 flat in int v_material;
 uniform vec3 u_paint;
 uniform vec3 u_livery;          // second colour: stripe, box, lower half
-uniform int u_plate;            // what the plates' text is drawn from
+uniform int u_plate;            // seed of the plates' text
 uniform int u_lamps;
-uniform float u_dirt;           // of the lower half of the body, 0 to 1
+uniform float u_dirt;           // dirt on the lower half of the body, 0 to 1
 #ifdef SNOW
-uniform float u_snow;           // share of level ground that it covers
+uniform float u_snow;           // share of level ground that snow covers
 #endif
 uniform float u_id;
 uniform sampler2D u_front;      // depth, slopes, id of the vehicle that the image shows
-uniform sampler2D u_mirror;     // octahedral map of what a mirror sees
+uniform sampler2D u_mirror;     // octahedral map of the surroundings, for reflections
 uniform sampler2DShadow u_scenery_sun_map;
 uniform sampler2DShadow u_vehicle_sun_map;
-uniform float u_lamp_radiance;  // of lamps, over what they have by day
+uniform float u_lamp_radiance;  // radiance of lamps, as a multiple of the value by day
 #ifdef LAMPS
 uniform vec3 u_street_light;    // radiant intensity of a street light
-uniform float u_own_lamp;       // of the camera's
-uniform float u_beam;           // irradiance by a headlight near by
+uniform float u_own_lamp;       // radiant intensity of the camera's own lamp
+uniform float u_beam;           // irradiance from a headlight nearby
 in vec4 v_lamps;
 #endif
 #ifdef REFLECTION
 #include "plane.glsl"
-uniform vec3 u_viewer;          // where it is seen from
+uniform vec3 u_viewer;          // position of the viewer
 #endif
 out vec4 out_color;
 
@@ -44,7 +44,7 @@ vec3 mirror(vec3 d) {
     return textureLod(u_mirror, at * 0.5 + 0.5, 0.0).rgb;
 }
 
-// Light from inside a bus through its windows: bright above, with seats and some passengers before it on each deck.
+// Light from inside a bus through its windows: bright at the top, with seats and some passengers in front of it on each deck.
 float lit_inside() {
     float upper = step(2.75, v_local.z), height = v_local.z - 1.95 * upper, row = v_local.x / 0.78, place = fract(row);
     float taken = step(0.45, fract(0.618 * (row - place + float(u_plate) + 3.0 * upper) + 0.3 * step(0.0, v_local.y)));
@@ -53,9 +53,9 @@ float lit_inside() {
     return (0.35 + 0.65 * fract(0.618 * float(u_plate))) * clamp(0.45 * height - 0.15, 0.3, 1.0) * (1.0 - dark);
 }
 
-// What a lamp shines in a picture that stays linear light, as a share of its colour in the table below, which for the
-// other pictures is made for the eye. Luminances in cd/m2, 10,000 for a share of 1: tail lamps 1500, brake lamps 6000,
-// marker lamps 600, signs 600, displays 1000, a bus's ceiling 2000 and what is seen of its inside 60.
+// Emission of a lamp in an image that stays linear light, as a share of its colour in the table below. The table is made
+// for images that are viewed. Luminances in cd/m2, 10,000 for a share of 1: tail lamps 1500, brake lamps 6000,
+// marker lamps 600, signs 600, displays 1000, a bus's ceiling 2000 and its visible interior 60.
 vec3 shining(vec3 color, float share) {
 #ifdef LINEAR
     return color * share;
@@ -88,13 +88,13 @@ vec3 glow(int material, int lamps) {
     return vec3(0.0);
 }
 
-// 1 where a pattern of period 1 is below a share of it, as far as a pixel resolves it.
+// 1 where a pattern of period 1 is below a share of its period, filtered to the resolution of a pixel.
 float stripes(float at, float share) {
     float wide = max(fwidth(at), 1e-4), place = abs(fract(at) - 0.5);
     return mix(1.0 - smoothstep(0.5 * share - 0.5 * wide, 0.5 * share + 0.5 * wide, place), share, clamp(wide - 0.5, 0.0, 1.0));
 }
 
-// Bars and meshes of a grille before the dark behind it.
+// Bars and meshes of a grille in front of a dark background.
 float grille(int material) {
     if (material == M_GRILLE_SLATS) return stripes(v_local.z / 0.042, 0.34);
     if (material == M_GRILLE_BARS) return stripes(v_local.y / 0.038, 0.34);
@@ -110,7 +110,7 @@ uint scrambled(uint x) {
 
 #include "number_plate.glsl"
 
-// How much dust and mud covers a place of a body: the more the lower, in blotches, most around the wheels.
+// Share of a point of the body that dust and mud cover: more at the bottom, in blotches, most around the wheels.
 float dirt_at(vec3 at) {
     float low = 1.0 - smoothstep(0.15, 0.95, at.z);
     float blotch = 0.5 + 0.25 * sin(at.x * 3.1 + at.z * 7.0 + 2.0 * sin(at.x * 1.3)) + 0.25 * sin(at.x * 11.0 - at.z * 5.0 + at.y * 4.0);
@@ -129,7 +129,7 @@ void main() {
 #ifdef REFLECTION
     view = normalize(u_viewer - v_world);
 #endif
-    // Opposite normals of neighbouring corners cancel out half way.
+    // Opposite normals of neighbouring corners cancel out halfway between them.
     if (!(dot(n, n) > 0.5)) n = view;
     if (dot(n, view) < 0.0) n = -n;
     vec4 albedo = albedo_of(v_material);
@@ -143,11 +143,11 @@ void main() {
     }
 #endif
     float dirt = u_dirt == 0.0 ? 0.0 : dirt_at(v_local);
-    // Wheels have axes of their own, about which they are evenly dirty.
+    // Wheels have their own axes; their dirt is even around them.
     if (v_material >= M_TYRE && v_material <= M_DISC) dirt = 0.35 * u_dirt;
     base = mix(base, vec3(0.17, 0.145, 0.115), dirt);
 #ifdef SNOW
-    // Some drive with what fell on them while they stood; wind and warmth take it off hoods first.
+    // Some vehicles carry snow that fell while they were parked; wind and warmth remove it from hoods first.
     float kept = u_snow * 1.3 * float(scrambled(uint(u_plate)) & 255u) / 255.0 - 0.45 - 0.35 * float(v_local.z < 1.2);
     float flat_enough = smoothstep(0.8, 0.95, n.z) * float(v_material < M_TYRE || v_material > M_DISC);
     float lies = flat_enough * smoothstep(0.0, 0.25, kept + 0.12 * sin(v_local.x * 5.0 + 2.0 * sin(v_local.y * 4.0)));
@@ -155,10 +155,10 @@ void main() {
 #else
     const float lies = 0.0;
 #endif
-    // The inside of the body, seen through its windows.
+    // The interior, visible through the windows.
     if (!gl_FrontFacing) base = vec3(0.03);
 #ifdef LAMPS
-    // Street light takes the sun's place; what comes from other sides is a part of it without direction.
+    // Street light replaces the sun; a part of it arrives from all directions.
     vec3 toward = normalize(v_lamps.xyz + vec3(0.0, 0.0, 1e-5)), direct = u_street_light * length(v_lamps.xyz);
 #else
     vec3 toward = u_sun_direction, direct = u_sun;
@@ -170,7 +170,7 @@ void main() {
     ambient += open * (0.10 * direct + vec3(0.2 * u_beam * v_lamps.w + u_own_lamp * max(dot(n, view), 0.0) / (PI * metres * metres)));
 #endif
 #ifdef PEEL
-    // It is only held against what stands before it: no shadows, no mirror images.
+    // This image is only compared with the image of the vehicle in front: no shadows, no mirror images.
     vec3 color = base * (ambient + direct / PI * facing);
 #else
 #ifdef LAMPS
@@ -195,10 +195,10 @@ void main() {
     vec3 color = base * (ambient + direct / PI * facing * sun) * (1.0 - metal * 0.8);
     color = mix(color, mirrored, f) + metal * 0.55 * base * mirrored;
     color += (f + metal * base) * ggx(n, view, toward, max(albedo.a, 0.12)) * direct * sun;
-    // Reflectors behind red glass send light back.
+    // Reflectors behind red glass return light to its source.
     if (v_material == M_TAILLIGHT || v_material == M_BRAKE_LIGHT) color += base * 0.35 * u_ground;
 #ifdef LINEAR
-    // Lamps shine ahead; a camera above them gets a part of it.
+    // Lamps shine forwards; a camera above them receives a part of the light.
     color += glow(v_material, u_lamps) * u_lamp_radiance * mix(0.15, 1.0, pow(max(dot(n, view), 0.0), 6.0));
 #else
     color += glow(v_material, u_lamps) * u_lamp_radiance;
@@ -207,7 +207,7 @@ void main() {
 #if defined(REFLECTION)
     out_color = vec4(exposed(color, metres, cosine), 1.0);
 #elif defined(PANES)
-    // What a pane mirrors is screened over what it lets through.
+    // The reflection of a pane is screen-blended over the light that passes through.
     vec3 light = exposed(mirrored * f + (color - mirrored * f) * 0.4, metres, cosine);
     float through = (v_material == M_GLASS_TINTED ? 0.35 : 0.72) * (1.0 - dot(display(light), vec3(0.3, 0.5, 0.2)));
     out_color = vec4(shown(light), 1.0 - through);

@@ -1,4 +1,4 @@
-// Places a vehicle's body, trailer and wheels for their colour: what changes slowly over them is worked out at the vertices.
+// Place a vehicle's body, trailer and wheels for their colour. Slowly varying values are computed at the vertices.
 #version 430
 in vec3 in_position;
 in vec3 in_normal;
@@ -16,16 +16,16 @@ out vec3 v_vehicle_sun_at;
 out vec3 v_local;
 out float v_open;
 flat out int v_material;
-const int TRAILER = 5;          // number of its part, as in model.py
+const int TRAILER = 5;          // part number of the trailer, as in model.py
 #ifdef LAMPS
-uniform sampler2D u_lamp_vectors;   // of street light on the ground
-uniform vec2 u_lamp_vectors_at;     // in that map: the camera
+uniform sampler2D u_lamp_vectors;   // vectors of street light on the ground
+uniform vec2 u_lamp_vectors_at;     // position of the camera in that map
 uniform float u_lamp_vectors_scale; // maps per metre
-uniform sampler2D u_beams;          // irradiance of the road by headlights
+uniform sampler2D u_beams;          // irradiance of the road from headlights
 uniform vec2 u_open_at;
 uniform float u_open_scale;
 uniform vec4 u_plane;
-out vec4 v_lamps;                   // vector of street light; headlights of others
+out vec4 v_lamps;                   // vector of street light; headlights of other vehicles
 #endif
 
 void main() {
@@ -37,7 +37,7 @@ void main() {
     vec4 lifted = vec4(v_world + v_normal * 0.05, 1.0);
     v_scenery_sun_at = (u_scenery_sun_map_from * lifted).xyz;
     v_vehicle_sun_at = (u_vehicle_sun_map_from * lifted).xyz;
-    // Near the road and under the body there is less sky.
+    // Less sky is visible near the road and under the body.
     float height = part > 0 && part != TRAILER ? 0.3 : in_position.z;
     v_open = clamp(0.35 + 0.65 * height / 0.9, 0.25, 1.0);
     v_material = int(in_material + 0.5);
