@@ -38,7 +38,6 @@ NOT_RUN: Final = {
     r".* --scheme apollo24": "take results with other keypoints: test_keypoints.py has the maps",
     r".* --backend torch --precision float32": "footage/backends tests hold it against the others",
     r".*(\bnight\.toml|--data synthetic)": "name a reader's own files: tests/train",
-    r"skope eval camera seen": "needs more footage than is drawn here: eval/test_guide.py",
     r"skope gen (vehicles (add|remove) |--vehicles )tow_truck": "name a reader's model; the example's is run",
     r"skope train (export|--init) road33(-lite)?": "loads the whole network: test_road33.py",
 }
@@ -108,12 +107,7 @@ def results_of(labels: Path) -> list[Result]:
 
 
 BEFORE: Final = {
-    "README.md": (
-        "skope gen --sites t01_mill_corner,t06_plaza_opening --frames 2 --size 320x180 --out data/roads",
-        "skope gen video examples/own_road/site.toml --fps 10 --seconds 1.2 --out footage",
-        "skope eval --split easy --min-size 64 --out runs/a/eval",
-        "skope eval --split easy --min-size 64 --out runs/b/eval",
-    ),
+    "README.md": ("skope gen --sites t01_mill_corner,t06_plaza_opening --frames 2 --size 320x180 --out data/roads",),
     "evaluation.md": (
         "skope eval --split easy --min-size 64 --out runs/a/eval",
         "skope eval --split easy --min-size 64 --out runs/b/eval",
