@@ -109,7 +109,7 @@ def test_further_models_belong_to_three_presets() -> None:
 def test_the_range_of_the_largest_vehicle_is_checked(span: tuple[float, float]) -> None:
     request = asked("nights", frames=1)
     variation = replace(request.parameters.variation, largest_vehicle=span)
-    with pytest.raises(UserError, match=r"^largest_vehicle: expected a range of shares above 0, up to 1, got "):
+    with pytest.raises(UserError, match=r"^largest_vehicle: expected a range above 0 and up to 1, got "):
         replace(request, parameters=replace(request.parameters, variation=variation))
 
 
