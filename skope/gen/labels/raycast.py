@@ -50,8 +50,7 @@ class RayCaster:
 
         Returns:
             (R,) distance from the camera to the first vehicle surface on the ray, metres; inf if there is none.
-            Surfaces
-            behind a point can be omitted.
+            Surfaces behind a point can be omitted.
         """
         ahead = self._camera.to_camera(points)
         away = np.linalg.norm(ahead, axis=-1)
@@ -214,8 +213,7 @@ class Fan:
 
         Returns:
             (R,) distance to the first triangle in multiples of the ray's length, inf if there is none. (R,) whether the
-            ray
-            meets the triangle's front, the side from which the corners are counter-clockwise.
+            ray meets the triangle's front, the side from which the corners are counter-clockwise.
         """
         ray, triangle, facing = _find_crossings([rays @ edge for edge in self._edges])
         reach = self._volume[triangle] / facing

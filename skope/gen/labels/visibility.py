@@ -34,8 +34,7 @@ def behind(view: RenderedFrame, camera: Camera, points: Array) -> tuple[Array, N
     """Compute the distance of points behind the surfaces that the four surrounding pixels show.
 
     A pixel's depth belongs to its centre and not to the ray of the point. The largest difference that the surface's
-    slope
-    can cause between the two is subtracted, up to `VISIBILITY_TOLERANCES.slope_m`.
+    slope can cause between the two is subtracted, up to `VISIBILITY_TOLERANCES.slope_m`.
 
     Args:
         view: The rendered frame.
@@ -43,8 +42,8 @@ def behind(view: RenderedFrame, camera: Camera, points: Array) -> tuple[Array, N
         points: (..., 3) points, world, metres.
 
     Returns:
-        (4, ...) distance behind the surface, metres, along rays from the camera's centre; NaN outside the image.
-        (4, ...) ids of the pixels; -2 outside the image. The first of the four is the pixel that contains the point.
+        (4, ...) distance behind the surface, metres, along rays from the camera's centre; NaN outside the image. (4,
+        ...) ids of the pixels; -2 outside the image. The first of the four is the pixel that contains the point.
     """
     pixels, _, valid = camera.project(points)
     seen = valid & camera.inside(pixels)
@@ -82,8 +81,7 @@ def find_hidden(
     """Find the keypoints that an object hides.
 
     If the four pixels around a point show the same object and agree, they decide. If an edge passes between them, a ray
-    to
-    the point decides, since the shapes of road users are known exactly.
+    to the point decides, since the shapes of road users are known exactly.
 
     Scenery hides a point in two cases: its own pixel shows scenery in front of it; or all four pixels show something in
     front of it and at least one of them shows scenery.

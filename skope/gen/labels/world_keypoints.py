@@ -24,8 +24,7 @@ def trilaterate(wheels: Array, distances: Array, side: Array) -> Array:
 
     Solves |p - w_i| = d_i for all keypoints at once. The wheel centres of a vehicle lie (nearly) in one plane, in which
     the differences of the equations are linear. Least squares gives the position in the plane. The residual distances
-    then
-    give the squared height above the plane, clamped at 0; `side` gives its sign. (SKoPe3D, section on simulation.)
+    then give the squared height above the plane, clamped at 0; `side` gives its sign. (SKoPe3D, section on simulation.)
 
     Args:
         wheels: (V, 4, 3) wheel centres, world, metres.

@@ -295,8 +295,7 @@ class ViewSampler:
 
         Returns:
             Mean number, and mean height as a fraction of the image height. Frames without visible vehicles do not count
-            for
-            the height.
+            for the height.
         """
         frames = traffic[:: CAMERA_SAMPLING.frame_step]
         frame, column = np.nonzero(np.isfinite(frames[..., 0]))

@@ -362,8 +362,8 @@ def ranges(weather: str, time_of_day: str, overrides: Mapping[str, Range] | None
     Args:
         weather: Weather from the table, such as "clear".
         time_of_day: Hour from the table, such as "noon".
-        overrides: Ranges to use instead. If they set latitude, day or hour but not the sun, the result has no range
-            for the sun. Its position then follows from them.
+        overrides: Ranges to use instead. If they set latitude, day or hour but not the sun, the result has no range for
+            the sun. Its position then follows from them.
 
     Raises:
         UserError: The weather or the hour is unknown.

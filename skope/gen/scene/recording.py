@@ -1,7 +1,7 @@
 """Recordings: the states of all road users near one camera, and everything else that a rendered frame depends on.
 
-A recording is one small .npz file: a JSON header (camera, light, vehicles, versions) and float64 arrays of poses.
-Equal recordings have equal bytes.
+A recording is one small .npz file: a JSON header (camera, light, vehicles, versions) and float64 arrays of poses. Equal
+recordings have equal bytes.
 """
 
 import io

@@ -19,8 +19,8 @@ class Variation:
     night: Mapping[str, Range] = field(default_factory=dict)
     """Ranges of conditions that the preset uses at night instead of those in `settings`; `--set` overrides both."""
     cameras: Mapping[str, Range] = field(default_factory=dict)
-    """Ranges from which each recording's camera is drawn, keyed as in
-    `skope.gen.scene.camera_sampling.CAMERA_LIMITS`; empty to use the sites' own cameras."""
+    """Ranges from which each recording's camera is drawn, keyed as in `skope.gen.scene.camera_sampling.CAMERA_LIMITS`;
+    empty to use the sites' own cameras."""
     shape_jitter: bool = False
     """Whether each vehicle gets a random shape close to that of its model."""
     views: int = 0
