@@ -105,7 +105,7 @@ def test_the_example_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "complete already" in capsys.readouterr().out
     (example / "empty.jpg").write_bytes((EXAMPLE / "empty.jpg").read_bytes() + b"\0")
     assert run(*command(out, example)) == 2
-    assert "begun with other parameters (own" in capsys.readouterr().err
+    assert "started with other parameters (own" in capsys.readouterr().err
 
 
 def test_shadows_and_vehicles_fit_the_photograph(own: OwnSite, made: Recording) -> None:
