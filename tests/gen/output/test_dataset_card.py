@@ -129,7 +129,7 @@ def test_a_licence_has_one_name(given: str, stated: str) -> None:
 
 
 def test_a_licence_without_a_name_is_refused() -> None:
-    with pytest.raises(UserError, match="--licence: expected a licence's name"):
+    with pytest.raises(UserError, match="--licence: expected the name of a licence"):
         licences.named("  ")
     result = CliRunner().invoke(app, ["gen", "--licence", "", "--out", "never"])
     assert "--licence" in str(result.exception)

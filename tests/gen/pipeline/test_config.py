@@ -121,7 +121,7 @@ def test_only_nights_chooses_how_large_vehicles_are() -> None:
 
 def test_a_photograph_has_one_light() -> None:
     own = own_site("--site", str(EXAMPLE / "site.toml"))
-    with pytest.raises(UserError, match=r"--time-of-day: .*site\.toml shows a photograph"):
+    with pytest.raises(UserError, match=r"--time-of-day: .*site\.toml has a photograph"):
         asked("demo", own=own, frames=4, time_of_day=("night",))
 
 

@@ -399,5 +399,5 @@ def test_a_ray_worker_with_other_versions_is_refused() -> None:
     from skope.errors import UserError
     from skope.gen.pipeline.ray_workers import Worker
 
-    with pytest.raises(UserError, match=r"has numpy .*, this run is made with 1\.0"):
+    with pytest.raises(UserError, match=r"has numpy .*; this run uses 1\.0"):
         Worker({"numpy": "1.0"})

@@ -34,7 +34,7 @@ def test_an_odd_camera_of_a_site_file_is_refused(skope: Any, tmp_path: Path) -> 
     (tmp_path / "site.toml").write_text(toml({**BASE, "camera": camera}))
     code, out, error = skope("gen", "video", "site.toml", *SHORT)
     assert (code, out, error.count("\n")) == (2, "", 1)
-    assert error.startswith("skope: site.toml: camera.size: a video's width and height are even")
+    assert error.startswith("skope: site.toml: camera.size: expected an even width and height")
 
 
 def test_footage_is_made_again_and_other_footage_refused(skope: Any) -> None:
