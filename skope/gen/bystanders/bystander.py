@@ -84,8 +84,8 @@ class Bystander:
         return self.look.jointed > 0.5
 
     def pose(self, travelled: float, speed: float = BYSTANDER_SHARES.riding_mps) -> Array:
-        """Return the poses (P, 4, 4) of the moving parts in the body's frame, after `travelled` metres at a speed in
-        m/s."""
+        """Return the poses (P, 4, 4) of the moving parts in the body's frame after `travelled` metres at a speed
+        (m/s)."""
         if self.jointed:
             return JOINTED_MAKERS[self.kind][1](self.look, travelled, speed)
         return FIGURE_MAKERS[self.kind][1](self.look, travelled)
@@ -97,8 +97,7 @@ class Bystander:
 
     @cached_property
     def box(self) -> Array:
-        """(2, 3) lowest and highest corner of the box around the body at rest, including any two-wheeler, in its
-        frame."""
+        """(2, 3) lowest and highest corner of the box around the body at rest with any two-wheeler, in its frame."""
         at_rest = zip(self.parts, [np.eye(4), *self._at_rest], strict=True)
         points = np.concatenate([mesh.vertices @ T[:3, :3].T + T[:3, 3] for mesh, T in at_rest])
         return np.stack([points.min(axis=0), points.max(axis=0)])

@@ -189,8 +189,7 @@ def pedalling(look: Look, travelled: float, speed: float) -> Array:
 
 
 def motorcycle(look: Look) -> tuple[Mesh, ...]:
-    """Build motorcycle, rider and passenger; front wheel, rear wheel, right thigh, left thigh; right shin, left
-    shin."""
+    """Build motorcycle, rider, passenger; front wheel, rear wheel, right thigh, left thigh; right shin, left shin."""
     machine, paint = int(look.machine), motor_paint(look)
     wheel = motor_wheel(_SCOOTER_WHEEL if machine == _SCOOTER else MACHINE_SIZES.motor_wheel_m)
     if machine == _SCOOTER:

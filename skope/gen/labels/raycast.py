@@ -86,8 +86,7 @@ class RayCaster:
         return self._camera.to_camera(np.einsum("nij,nj->ni", T[:, :3, :3], up) + T[:, :3, 3])
 
     def _candidates(self, i: int, rays: Array, away: Array, chosen: NDArray[np.bool_]) -> "_Candidates":
-        """Return the pairs of a ray and a patch of the i-th vehicle that may meet; `chosen` (R,) are the rays to
-        test."""
+        """Return the pairs of a ray and a patch of the i-th vehicle that may meet; `chosen` (R,) selects rays."""
         patches = _patches(self._vehicles[i])
         poses = self._camera.T_camera_world @ self._moment.part_poses(i)
         T = poses[patches.part]
@@ -143,12 +142,10 @@ class _Candidates:
 
 @dataclass(frozen=True, eq=False)
 class _Patches:
-    """A vehicle's triangles in P compact patches of `RAYCAST_LIMITS.patch_triangles`, with bounding spheres and
-    boxes."""
+    """P compact patches of `RAYCAST_LIMITS.patch_triangles` triangles of a vehicle, with bounding volumes."""
 
     corners: Array
-    """(3 axes, 3 corners, P, patch_triangles) corners in the frame of their part, metres; smaller patches repeat
-    triangles."""
+    """(3 axes, 3 corners, P, patch_triangles) corners in their part's frame, metres; small patches repeat triangles."""
     part: NDArray[np.int64]
     """(P,) part that each patch belongs to: 0 is the body, higher numbers are its moving parts."""
     centers: Array

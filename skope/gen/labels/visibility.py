@@ -21,8 +21,9 @@ class VisibilityTolerances:
     point_m: float = 0.05
     """Maximum distance of a visible keypoint behind the surface that the image shows, metres."""
     vehicle_m: float = 0.20
-    """Distance behind the visible surface above which a keypoint is hidden when whole vehicles are judged, metres
-    (SKoPe3D)."""
+    """Distance behind the visible surface above which whole-vehicle rules count a keypoint as hidden, metres.
+
+    Source: SKoPe3D."""
     slope_m: float = 5.0
     """Maximum allowance for the slope of a surface within a pixel, metres; see `behind`."""
 

@@ -1,5 +1,4 @@
-"""croissant.json: description of a dataset for catalogues and loaders, in MLCommons Croissant 1.0 with its RAI
-extension.
+"""croissant.json: description of a dataset for catalogues and loaders (MLCommons Croissant 1.0 with RAI).
 
 Source: the format's specification, docs.mlcommons.org/croissant/docs/croissant-spec.html. The publisher has to add what
 only the publisher knows (url, creator, datePublished). The file contains no date, so equal datasets have equal bytes.

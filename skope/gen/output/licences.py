@@ -124,8 +124,7 @@ def licence_terms(licence: str) -> Terms | None:
 
 
 def united(licences: Sequence[str]) -> str:
-    """Return the licence of a dataset made of parts under `licences`; raise a UserError that names an incompatible
-    pair."""
+    """Return the licence of a dataset with parts under `licences`; a UserError names an incompatible pair."""
     different = list(dict.fromkeys(licences))
     parts = {licence: licence.split(LICENCE_SEPARATOR) for licence in different}
     known = {part: licence_terms(part) for own in parts.values() for part in own}

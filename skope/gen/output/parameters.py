@@ -56,16 +56,13 @@ class Parameters:
     """Driver of the renderer, as `choose_renderer` names it; only equal drivers give equal pixels."""
     rules: Rules
     variation: Variation = field(default_factory=Variation)
-    """Quantities that are drawn for each recording, and their ranges; the card lists its fields among the
-    parameters."""
+    """Quantities drawn for each recording, and their ranges; the card lists its fields among the parameters."""
     keypoint_edition: int = keypoints.EDITION
     """Edition of the keypoint definition."""
     vehicles: Mapping[str, str] = field(default_factory=dict)
-    """Requested models by name: SHA-256 of the files of a user's model (`skope gen vehicles add`), empty for a model of
-    the fleet."""
+    """Requested models by name: SHA-256 of the files of a user's model, empty for a model of the fleet."""
     vehicle_share: float | None = None
-    """Combined share of the traffic of all `vehicles`, 0 to 1; None for one vehicle of each model per ten of the
-    fleet."""
+    """Combined traffic share of all `vehicles`, 0 to 1; None for one vehicle of each model per ten of the fleet."""
     weather: tuple[str, ...] = ()
     """Permitted weathers of recordings; empty for those of the sites and of `presets.toml`."""
     time_of_day: tuple[str, ...] = ()
@@ -137,7 +134,7 @@ class DatasetPlan:
 
     @classmethod
     def from_dict(cls, values: Any, path: Path) -> Self:
-        """Return the plan from the result of `to_dict` or a card; a UserError names the file `path` and the invalid
+        """Return the plan from the result of `to_dict` or a card; a UserError names the `path` and the invalid
         field."""
         if not isinstance(values, dict):
             raise UserError(f"{path}: expected an object with parameters and takes")

@@ -30,8 +30,7 @@ CountKind = tuple[str, str | None, str]
 
 
 def count_kind(iscrowd: int, vehicle_type: str | None, category: str = "vehicle") -> CountKind:
-    """Return the count key of a vehicle, from two fields of its annotation, or of another road user, from its
-    category."""
+    """Return the count key of a vehicle (from two annotation fields) or another road user (from its category)."""
     return "ignored" if iscrowd else "ground_truth", vehicle_type, category
 
 
@@ -72,8 +71,7 @@ class Counts:
         self.tally.update(tally)
 
     def localizer_difference(self) -> dict[str, float | None]:
-        """Return mean and maximum distance between trilateration and the rigid transform, over all keypoints,
-        metres."""
+        """Return mean and maximum distance between trilateration and rigid transform over all keypoints, metres."""
         vehicles = self.tally["vehicles"]
         if not vehicles:
             return {"mean": None, "max": None}

@@ -295,8 +295,7 @@ class DatasetRequest:
         return varied(lit) if row.get("varied_light") and self.own is None else lit
 
     def _asked_vehicles(self, plan: RecordingPlan) -> dict[str, Any]:
-        """Return the plan's fields for requested models, or for the heavy vehicles that the preset or split
-        requests."""
+        """Return the plan's fields for requested models, or for the heavy vehicles of the preset or split."""
         p, row = self.parameters, presets()[self.parameters.preset]
         share = None if self.own else preset_tables()["conditions"].get(plan.site.split, {}).get("heavy")
         if "heavy" in row and not self.own:

@@ -30,8 +30,7 @@ from skope.terminal.console import Console
 from skope.video.write import VideoFile, create_video
 
 FRAME_RATES: Final = (5, 8, 10, 12.5, 20, 25, 40, 50)
-"""Permitted frame rates of a video, frames per second; SUMO's steps are whole milliseconds that divide a frame's
-time."""
+"""Permitted frames per second of a video; SUMO's steps are whole milliseconds that divide a frame's time."""
 
 
 @dataclass(frozen=True)

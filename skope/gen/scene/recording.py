@@ -72,8 +72,7 @@ class RecordingPlan:
     vehicles: tuple[str, ...] = ()
     """Requested models: added by the user (`skope gen vehicles add`) or from the fleet."""
     vehicle_share: float | None = None
-    """Combined share of the traffic of all `vehicles`, 0 to 1; None for one vehicle of each model per ten of the
-    fleet."""
+    """Combined traffic share of all `vehicles`, 0 to 1; None for one vehicle of each model per ten of the fleet."""
 
     @property
     def leader(self) -> int:
@@ -124,8 +123,7 @@ class RecordedVehicle:
 
     Bystanders follow the vehicles and have labels of their own if `Recording.road_users` is set."""
     recurs: bool = False
-    """Whether other recordings of the dataset can have vehicles of exactly this random shape (see
-    `SHAPES_PER_MODEL`)."""
+    """Whether other recordings can have vehicles of exactly this random shape (see `SHAPES_PER_MODEL`)."""
 
     def __post_init__(self) -> None:
         safe_names.name("model", self.model)

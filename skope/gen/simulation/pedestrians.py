@@ -246,8 +246,7 @@ def _length(path: Array) -> float:
 
 
 def _frame(position: tuple[float, float, float], yaw: float, pitch: float, roll: float) -> Array:
-    """Return the (4, 4) pose at a position (metres); angles in radians, pitch positive uphill, roll positive to the
-    right."""
+    """Return the (4, 4) pose at a position (metres); angles in radians, positive uphill and to the right."""
     (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a), math.sin(a)) for a in (yaw, -pitch, roll))
     R = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     T = np.eye(4)

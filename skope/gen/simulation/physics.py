@@ -59,8 +59,7 @@ class Pose:
     velocity: Array
     """(3,) velocity of the carrier in the world, m/s."""
     T_world_trailer: Array = field(default_factory=lambda: trailer_motion.NO_TRAILER)
-    """(3, 4, 4) poses of a trailer and its rear right and rear left wheels, as in
-    `skope.gen.scene.recording.Moment`."""
+    """(3, 4, 4) poses of a trailer and its two rear wheels, as in `skope.gen.scene.recording.Moment`."""
 
 
 def at_rest(vehicle: Vehicle, driven: Driven) -> Pose:
@@ -104,8 +103,7 @@ class _Suspension:
         return cls((heave, pitch, roll), (damping[0], damping[1], damping[2]), vehicle.mass, lever)
 
     def forces(self, joints: Sequence[Sequence[float]], ahead: float, aside: float) -> list[float]:
-        """Compute the force that lifts the chassis (N), and the torques that push its nose and its right side down (N
-        m).
+        """Compute the lifting force on the chassis (N) and the torques that push nose and right side down (N m).
 
         `joints` are position and speed of heave, pitch and roll. The body accelerates by `ahead` and `aside`, m/s^2.
         The inertial force acts on the centre of mass, at a lever arm above the axes. Braking pushes the nose down,
@@ -189,8 +187,7 @@ class _Body:
         self.engine.resetBasePositionAndOrientation(self.id, position, orientation, physicsClientId=self.client)
 
     def aim(self, target: Driven, dt: float) -> None:
-        """Set the carrier's motion in the coming step, the loads on the springs, and the speed and angle of the
-        wheels."""
+        """Set the carrier's motion in the coming step, the spring loads, and the speed and angle of the wheels."""
         before = self.state
         turn = _angle(target.yaw - before.yaw) / dt
         slope = PHYSICS_MODEL.gravity * math.sin(target.pitch)
@@ -286,8 +283,7 @@ class World:
         self._engine.disconnect(self._client)
 
     def advance(self, driven: dict[str, tuple[Vehicle, Driven]]) -> None:
-        """Drive the vehicles to the states in `driven`; add new ones there with springs at rest, and remove absent
-        ones."""
+        """Drive vehicles to the states in `driven`; add new ones with springs at rest and remove absent ones."""
         for name in self._bodies.keys() - driven.keys():
             self._engine.removeBody(self._bodies.pop(name).id, physicsClientId=self._client)
         for name, (vehicle, state) in driven.items():

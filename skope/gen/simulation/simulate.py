@@ -147,8 +147,7 @@ class _Cameras:
         return sample_camera(plan.site, _camera_ranges(plan, conditions), plan.rng(Stream.CAMERA))
 
     def watch(self, x: float, y: float) -> bool:
-        """Return whether a vehicle at a position (world, metres) may be recorded; always True before cameras are
-        chosen."""
+        """Return whether a vehicle at a position (world, metres) may be recorded; True until cameras are chosen."""
         return not self.recorders or any(recorder.watches(x, y) for recorder in self.recorders)
 
     def choose(self, snapshots: Sequence[Snapshot]) -> None:

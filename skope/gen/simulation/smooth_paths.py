@@ -30,8 +30,7 @@ class PathSmoothing:
     reach_s: float = 1.25
     """Time to either side at which the Gaussians are truncated, seconds."""
     lock_rad: float = 0.65
-    """Maximum steering angle of the front wheels, radians; gives a kerb-to-kerb turning circle of 11 m for a sedan and
-    21 m for a bus."""
+    """Maximum steering angle of the front wheels, radians; kerb-to-kerb turning circle: sedan 11 m, bus 21 m."""
     place_columns: int = 6
     """Number of columns per vehicle and step: x and y of its lane point, travelled distance, speed, height, slope.
 

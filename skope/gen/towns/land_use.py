@@ -111,8 +111,7 @@ class Layout:
         return unary_union([hole for hole in holes if hole.buffer(-reach).is_empty])
 
     def beside_lanes(self, width: str) -> Region:
-        """Return the strips beside the carriageway with the width in the road's field `width` ("sidewalk" or
-        "shoulder")."""
+        """Return the strips beside the carriageway as wide as the road's `width` ("sidewalk" or "shoulder")."""
         parts = []
         for edge in self.graph.edges:
             kind = self.graph.kind(edge)

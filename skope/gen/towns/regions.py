@@ -21,8 +21,7 @@ def polygons(shape: Any) -> list[Polygon]:
 
 
 def rectangle_polygon(center: Array, heading: float, length: float, depth: float) -> Polygon:
-    """Return a rectangle around a place (2,), `length` metres along a heading (radians) and `depth` metres across
-    it."""
+    """Return a rectangle around a place (2,), `length` m along a heading (radians) and `depth` m across it."""
     c, s = np.cos(heading), np.sin(heading)
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [length / 2, depth / 2]
     return Polygon(corners @ np.array([[c, s], [-s, c]]) + center)

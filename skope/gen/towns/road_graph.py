@@ -282,8 +282,7 @@ def half_width(edge: Any) -> float:
 
 
 def beside(edge: Any, s: float, offset: float) -> tuple[Array, float]:
-    """Return the place (2,) `s` metres along an edge and `offset` metres right of its kerb, and the heading
-    (radians)."""
+    """Return the place (2,) `s` m along an edge and `offset` m right of its kerb, and the heading (radians)."""
     lane = driven(edge)[0]
     line = _line_of(lane)
     s = float(np.clip(s, 0.0, line.length - 0.5))

@@ -90,8 +90,7 @@ class GroundSurface:
     """Heights of the carriageways on the ground and of the ground beside them."""
 
     def __init__(self, style: Terrain, driven: Lanes, shaping: Lanes) -> None:
-        """Create the surface from `driven`, all lanes on the ground, and `shaping`, those that shape the ground
-        nearby."""
+        """Create the surface from `driven`, all lanes on the ground, and `shaping`, those that shape the ground."""
         self._style, self._driven, self._shaping = style, driven, shaping
 
     @cached_property
@@ -116,8 +115,7 @@ class GroundSurface:
         return height
 
     def beside(self, places: Array) -> Array:
-        """Return the heights (N,) of the ground at places (N, 2), without kerbs; banks connect roads and natural
-        ground."""
+        """Return the ground heights (N,) at places (N, 2), without kerbs; banks connect roads and natural ground."""
         if self.flat:
             return np.zeros(len(places))
         around = self.natural(places)

@@ -32,8 +32,7 @@ class Occluder:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OwnRoad:
-    """A user's road in front of one camera; its name contains a digest of the content, so equal names are equal
-    roads."""
+    """A user's road in front of one camera; its name contains a digest, so equal names are equal roads."""
 
     title: str
     network: bytes = field(repr=False)

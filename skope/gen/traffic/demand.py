@@ -80,8 +80,7 @@ USUAL_RIDERS: Final = Riding({"cyclist": 0.03, "motorcyclist": 0.02})
 
 @cache
 def kinds_of_drivers() -> Mapping[str, Mapping[str, Any]]:
-    """Return the kinds of drivers in `drivers.toml` by name: their share and SUMO's attributes of their driving
-    style."""
+    """Return the kinds of drivers in `drivers.toml` by name: their share and SUMO attributes."""
     return _table("drivers.toml")
 
 

@@ -82,8 +82,7 @@ class _Flow:
 def scheduled(
     text: str, network: Path, models: Mapping[str, FleetEntry], *, duration: float, rng: np.random.Generator
 ) -> Iterator[Trip]:
-    """Yield the trips in a random window of a route file's time, `duration` seconds long; times are relative to its
-    start.
+    """Yield the trips in a random window of `duration` seconds of a route file, with times from its start.
 
     The model of each vehicle is drawn with the fleet's shares from those of its class. Raises UserError as `streams`
     does.

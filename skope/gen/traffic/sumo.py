@@ -329,8 +329,7 @@ class Traffic:
         return road, driven
 
     def _draw_trailer(self, name: str, chassis: Chassis, hitch: Hitch, driven: float) -> None:
-        """Move a vehicle's trailer behind it; this starts at the edge of the network, so the trailer's pose is
-        plausible."""
+        """Move a vehicle's trailer; it follows from the edge of the network on, so its pose is plausible."""
         place = self._roads_behind[name].at(driven - chassis.front_axle - chassis.wheelbase + hitch.hinge)
         yaw = math.radians(90.0 - self._sumo.vehicle.getAngle(name))
         if name not in self._trailers:

@@ -94,8 +94,7 @@ def test_an_estimate_in_words() -> None:
     assert Estimate(1, 2.5e9, 3000.0, 1, 1).line == "1 image to make, about 2.5 GB and 50 min with 1 worker"
     assert Estimate(7, 2.5e6, 60.0, 16, 2).line == "7 images to make, about 2 MB and 60 s with 16 workers on 2 cores"
     assert (
-        Estimate(7, 2.5e6, None, None, None).line
-        == "7 images to make, about 2 MB; the time on a cluster is not known"
+        Estimate(7, 2.5e6, None, None, None).line == "7 images to make, about 2 MB; the time on a cluster is not known"
     )
 
 
