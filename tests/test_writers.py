@@ -108,7 +108,7 @@ WRITERS = {
         own="gen render OUT --renderer pybullet --workers 1",
         other=None,
         ready=f"gen simulate {_GEN} --out OUT",
-        foreign="move|`skope gen simulate --out .*` makes them",
+        foreign="move|make them with `skope gen simulate --out .*`",
     ),
     "gen check --repair": Row(
         own="gen check OUT --repair --workers 1",

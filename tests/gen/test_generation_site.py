@@ -105,7 +105,7 @@ def test_the_example_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "complete already" in capsys.readouterr().out
     (example / "empty.jpg").write_bytes((EXAMPLE / "empty.jpg").read_bytes() + b"\0")
     assert run(*command(out, example)) == 2
-    assert "begun with other parameters (own" in capsys.readouterr().err
+    assert "started with other parameters (own" in capsys.readouterr().err
 
 
 def test_shadows_and_vehicles_fit_the_photograph(own: OwnSite, made: Recording) -> None:
@@ -567,9 +567,9 @@ def test_single_vehicles_and_named_routes() -> None:
     ("text", "word"),
     [
         ("<routes", "not XML"),
-        (routed(""), "no vehicle"),
+        (routed(""), "expected at least one vehicle"),
         (routed('<trip id="a" depart="0" from="x" to="11"/>'), "no edge x"),
-        (routed('<trip id="a" depart="0" from="11" to="10#0"/>'), "no way leads"),
+        (routed('<trip id="a" depart="0" from="11" to="10#0"/>'), "no route from 11 to 10#0"),
         (routed('<flow id="f" from="10#0" to="11" vehsPerHour="-3"/>'), "flow 'f': vehsPerHour"),
         (routed('<flow id="f" from="10#0" to="11"/>'), "period"),
         (routed('<vehicle id="a" depart="soon" route="r"/>'), "depart"),
@@ -578,18 +578,18 @@ def test_single_vehicles_and_named_routes() -> None:
             (routed(f'<flow id="f" from="10#0" to="11" period="exp({rate})"/>'), "flow 'f': period: expected exp")
             for rate in ("0", "-1", "nan", "inf", "often")
         ),
-        (routed('<flow id="f" from="10#0" to="11" vehsPerHour="1e12"/>'), "flow 'f': more than 100000 vehicles an"),
+        (routed('<flow id="f" from="10#0" to="11" vehsPerHour="1e12"/>'), "flow 'f': more than 100000 vehicles per"),
         (routed('<flow id="f" from="10#0" to="11" end="10" number="1000000000"/>'), "flow 'f': more than 100000"),
-        (routed('<flow id="f" from="10#0" to="11" period="exp(1e9)"/>'), "flow 'f': more than 100000 vehicles an"),
+        (routed('<flow id="f" from="10#0" to="11" period="exp(1e9)"/>'), "flow 'f': more than 100000 vehicles per"),
         ('<!DOCTYPE r [<!ENTITY e SYSTEM "secret.txt">]>' + routed("&e;"), "DOCTYPE"),
         ('<!DOCTYPE routes SYSTEM "routes.dtd">' + routed('<trip id="a" from="10#0" to="11"/>'), "DOCTYPE"),
         (
             routed('<vehicle id="a" depart="1"><route edges="10#0 -10#1"/></vehicle>'),
-            "'a': no connection .* 10#0 to -10#1",
+            "'a': the network has no connection from 10#0 to -10#1",
         ),
         (
             routed('<route id="r" edges="10#0 -11"/><flow id="f" route="r" period="9"/>'),
-            "flow 'f': no connection leads from 10#0 to -11",
+            "flow 'f': the network has no connection from 10#0 to -11",
         ),
     ],
 )

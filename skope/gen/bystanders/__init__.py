@@ -1,1 +1,1 @@
-"""People on foot, on bicycles and on motorcycles."""
+"""Bystanders: pedestrians, cyclists and motorcyclists."""

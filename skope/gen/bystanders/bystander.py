@@ -1,7 +1,8 @@
-"""Road users beside the vehicles: people on foot, on bicycles and on motorcycles.
+"""Bystanders, the road users other than vehicles: pedestrians, cyclists and motorcyclists.
 
-Each is a body with four moving parts, as a vehicle has four wheels, or, where it is jointed, with up to seven. They
-hide vehicles, and a detector must not take them for one; some datasets label them, in categories of their own.
+A bystander is a body with four moving parts (as a vehicle has four wheels), or with up to seven if it is jointed.
+Bystanders hide vehicles, and a detector must not confuse them with vehicles. Some datasets label them in their own
+categories.
 """
 
 from collections.abc import Callable, Mapping
@@ -23,14 +24,14 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class BystanderShares:
-    """Shares of people with umbrellas and helmets."""
+    """Fractions of people with umbrellas and helmets, and the speed of riding."""
 
     riding_mps: float = 5.0
-    """Speed at which riders have their feet off the road, m/s."""
+    """Speed of the riding pose that is used for bodies at rest, m/s; riders have both feet off the road at it."""
     umbrellas: float = 0.45
-    """Share of people on foot with an umbrella in rain."""
+    """Fraction of pedestrians with an umbrella in rain."""
     helmets: float = 0.55
-    """Share of cyclists with a helmet."""
+    """Fraction of cyclists with a helmet."""
 
 
 BYSTANDER_SHARES: Final = BystanderShares()
@@ -47,18 +48,18 @@ JOINTED_MAKERS: Final[dict[str, tuple[Callable[[Look], tuple[Mesh, ...]], Callab
 }
 BYSTANDER_KINDS: Final = tuple(FIGURE_MAKERS)
 CATEGORY_OF: Final = {"pedestrian": "pedestrian", "cyclist": "bicycle", "motorcyclist": "motorcycle"}
-"""The category (of `skope.schema.CATEGORY_NAMES`) of each kind."""
+"""Category (of `skope.schema.CATEGORY_NAMES`) of each kind of bystander."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bystander:
-    """The body of a pedestrian, cyclist or motorcyclist."""
+    """Body of a pedestrian, cyclist or motorcyclist."""
 
     kind: str
-    """One of `BYSTANDER_KINDS`."""
+    """Kind of bystander, one of `BYSTANDER_KINDS`."""
     look: Look
     parts: tuple[Mesh, ...]
-    """Body, then four parts that move, of a jointed one up to seven: limbs or wheels, each about its own origin."""
+    """Body, then four moving parts (limbs or wheels), or up to seven if jointed; each moves about its own origin."""
 
     @property
     def mesh(self) -> Mesh:
@@ -74,41 +75,42 @@ class Bystander:
 
     @cached_property
     def coarse(self) -> tuple[Mesh, ...]:
-        """The parts for pictures from afar."""
+        """Simplified parts for distant views."""
         return simplified_parts(self.parts)
 
     @property
     def jointed(self) -> bool:
-        """Whether its knees bend, which labelled bodies' do."""
+        """Whether the knees bend, as those of labelled bodies do."""
         return self.look.jointed > 0.5
 
     def pose(self, travelled: float, speed: float = BYSTANDER_SHARES.riding_mps) -> Array:
-        """(P, 4, 4) poses of the moving parts in the body's frame, after `travelled` metres, at a speed in m/s."""
+        """Return the poses (P, 4, 4) of the moving parts in the body's frame after `travelled` metres at a speed
+        (m/s)."""
         if self.jointed:
             return JOINTED_MAKERS[self.kind][1](self.look, travelled, speed)
         return FIGURE_MAKERS[self.kind][1](self.look, travelled)
 
     @property
     def _at_rest(self) -> Array:
-        """(P, 4, 4) poses of the moving parts of somebody who stands, or sits on what is ridden."""
+        """Poses (P, 4, 4) of the moving parts of a person who stands, or sits on a two-wheeler."""
         return self.pose(0.0, 0.0 if self.kind == "pedestrian" else BYSTANDER_SHARES.riding_mps)
 
     @cached_property
     def box(self) -> Array:
-        """(2, 3) lowest and highest corner of the box around it at rest, with what is ridden, in the body's frame."""
+        """(2, 3) lowest and highest corner of the box around the body at rest with any two-wheeler, in its frame."""
         at_rest = zip(self.parts, [np.eye(4), *self._at_rest], strict=True)
         points = np.concatenate([mesh.vertices @ T[:3, :3].T + T[:3, 3] for mesh, T in at_rest])
         return np.stack([points.min(axis=0), points.max(axis=0)])
 
     @property
     def extent(self) -> Array:
-        """(2, 3) corners of a box around it, however its parts move."""
+        """(2, 3) corners of a box that contains the body in every pose of its parts."""
         along, aside = (0.65, 0.3) if self.jointed else (0.4, 0.1)
         return self.box + [[-along, -aside, -0.1], [along, aside, 0.05]]
 
     @property
     def size_lwh(self) -> tuple[float, float, float]:
-        if self.jointed:  # about the origin, as those who ask for it expect, with what is pulled and pushed
+        if self.jointed:  # centred on the origin, as callers expect, including anything that is pulled or pushed
             length, width, _ = 2 * np.abs(self.box).max(axis=0)
             return float(length), float(width), float(self.box[1, 2])
         low, high = self.mesh.vertices.min(axis=0), self.mesh.vertices.max(axis=0)
@@ -123,7 +125,7 @@ def _build(kind: str, shape: tuple[tuple[str, float], ...]) -> Bystander:
 
 
 def build_bystander(kind: str, shape: Mapping[str, float]) -> Bystander:
-    """The bystander of a kind with a look's numbers (see `Look`); equal ones are built once."""
+    """Return the bystander of a kind with the numbers of its appearance (see `Look`); equal ones are built once."""
     return _build(kind, tuple(sorted(shape.items())))
 
 
@@ -135,11 +137,11 @@ _LOAD_SHARES: Final[Mapping[str, Mapping[str, float]]] = {
 }
 PASSENGER_SHARES: Final = {"cyclist": 0.06, "motorcyclist": 0.18}
 _LEAST_RIDER_M: Final = {"cyclist": 1.25, "motorcyclist": 1.55}
-"""Height of the smallest rider, metres."""
+"""Minimum height of riders by kind, metres."""
 
 
 def draw_look(kind: str, rng: np.random.Generator, *, raining: bool = False) -> Look:
-    """Draw a jointed body of a kind of `skope.gen.bystanders.bystander.BYSTANDER_KINDS`."""
+    """Draw the appearance of a jointed body of a kind in `skope.gen.bystanders.bystander.BYSTANDER_KINDS`."""
     look = replace(Look.drawn(rng), bag=0.0, palette=float(rng.integers(2**40)), jointed=1.0)
     shares = dict(_LOAD_SHARES[kind])
     if kind == "pedestrian" and raining:
@@ -150,7 +152,7 @@ def draw_look(kind: str, rng: np.random.Generator, *, raining: bool = False) -> 
     helmet, second = rng.random() < BYSTANDER_SHARES.helmets, rng.random() < PASSENGER_SHARES.get(kind, 0.0)
     machine = int(rng.choice(len(_MACHINE_SHARES[kind]), p=_MACHINE_SHARES[kind])) if kind in MACHINE_NAMES else 0
     if kind == "cyclist" and MACHINE_NAMES[kind][machine] == "racing bicycle":
-        # Nobody hangs a child's seat or bags on a racing bicycle.
+        # Racing bicycles have no child seat and no bags.
         second, load = False, load if LUGGAGE_KINDS[load] == "backpack" else 0
     if kind == "motorcyclist" and second and LUGGAGE_KINDS[load] == "delivery box":
         load = 0  # the passenger sits there

@@ -1,4 +1,4 @@
-"""Luggage that people carry, push, pull and have on what they ride."""
+"""Luggage that people carry, push, pull or transport on a two-wheeler."""
 
 from typing import Final
 
@@ -12,23 +12,23 @@ LUGGAGE_KINDS: Final = (
     "nothing", "backpack", "shopping bag", "suitcase", "umbrella", "pushchair", "panniers", "basket", "delivery box",
     "trailer", "top case",
 )  # fmt: skip
-"""Loads by number (see `Look.load`)."""
+"""Kinds of luggage, indexed by `Look.load`."""
 CLOTH_COLORS: Final = ("#222233", "#335544", "#772222", "#334466", "#555555", "#aa7733", "#ddaa33")
 BOX_COLORS: Final = ("#22aa88", "#dd7711", "#cc2255", "#2255aa", "#222222")
 
 
 def load_of(look: Look) -> str:
-    """Name of what somebody carries."""
+    """Return the name of a person's luggage."""
     return LUGGAGE_KINDS[int(look.load)]
 
 
 def cloth(look: Look) -> str:
-    """The colour of a bag, an umbrella or a hood."""
+    """Return the colour of a bag, an umbrella or a hood."""
     return CLOTH_COLORS[look.digit(0, len(CLOTH_COLORS))]
 
 
 def backpack(look: Look, shoulder: Array) -> list[Mesh]:
-    """A backpack on a body whose neck starts at a point (3,), upright or not much bent."""
+    """Build a backpack for an upright or slightly bent body with the base of the neck at a point (3,)."""
     h, color = look.height, cloth(look)
     middle = shoulder + np.array([-0.115, 0, -0.11]) * h
     return [
@@ -38,7 +38,7 @@ def backpack(look: Look, shoulder: Array) -> list[Mesh]:
 
 
 def shopping_bag(look: Look) -> list[Mesh]:
-    """A bag in the hand of an arm that hangs from the origin."""
+    """Build a bag in the hand of an arm that hangs from the origin."""
     h, color = look.height, cloth(look)
     low, high = (-0.075 * h, -0.035 * h, -0.57 * h), (0.095 * h, 0.035 * h, -0.42 * h)
     handles = [
@@ -48,7 +48,7 @@ def shopping_bag(look: Look) -> list[Mesh]:
 
 
 def suitcase(look: Look) -> list[Mesh]:
-    """A case on wheels, pulled by the right hand."""
+    """Build a wheeled suitcase pulled by the right hand."""
     h, color = look.height, cloth(look)
     y = -0.14 * h
     parts = [box((-0.62, y - 0.12, 0.06), (-0.36, y + 0.12, 0.62), color)]
@@ -58,7 +58,7 @@ def suitcase(look: Look) -> list[Mesh]:
 
 
 def umbrella(look: Look) -> list[Mesh]:
-    """An open umbrella over the head, held before the body."""
+    """Build an open umbrella over the head, held in front of the body."""
     h, color = look.height, cloth(look)
     profile = [(1.045, 0.002), (1.05, 0.33), (1.10, 0.28), (1.16, 0.15), (1.185, 0.002)]
     canopy = lathe([(z * h, r * h) for z, r in profile], [color] * 4, 10, "z")
@@ -70,7 +70,7 @@ def umbrella(look: Look) -> list[Mesh]:
 
 
 def pushchair(look: Look) -> list[Mesh]:
-    """A pushchair with its hood, before somebody who holds its bar."""
+    """Build a pushchair with a hood, in front of a person who holds its bar."""
     h, color = look.height, cloth(look)
     x = 0.30 * h
     parts = [
@@ -89,14 +89,14 @@ def pushchair(look: Look) -> list[Mesh]:
 
 
 def panniers(look: Look, seat: Array, apart: float) -> list[Mesh]:
-    """A bag on each side of a rear wheel, whose rack begins at a point (3,) and is `apart` wide."""
+    """Build a bag on each side of a rear wheel; the rack begins at a point (3,) and is `apart` wide."""
     color = cloth(look)
     low, high = seat + [-0.42, 0, -0.36], seat + [-0.08, 0, -0.02]
     return [box(low + [0, y - 0.07, 0], high + [0, y + 0.07, 0], color) for y in (-apart / 2, apart / 2)]
 
 
 def delivery_box(look: Look, low: Array, side: float) -> list[Mesh]:
-    """A courier's cube whose bottom's front edge has its middle at a point (3,)."""
+    """Build a courier's box; the middle of its bottom front edge is at a point (3,)."""
     color = BOX_COLORS[look.digit(1, len(BOX_COLORS))]
     half = side / 2
     return [
@@ -106,7 +106,7 @@ def delivery_box(look: Look, low: Array, side: float) -> list[Mesh]:
 
 
 def trailer(look: Look) -> list[Mesh]:
-    """A trailer for children behind a bicycle's rear axle at the origin, its wheels on the ground."""
+    """Build a child trailer behind a bicycle with its rear axle at the origin; the wheels are on the ground."""
     color = CLOTH_COLORS[2 + look.digit(1, 5)]
     x, r = -0.75, 0.24
     parts = [

@@ -1,5 +1,7 @@
-"""People: proportions after Drillis and Contini (Body Segment Parameters, 1966), clothes, and how they walk; limbs and
-bodies are tubes with elliptic sections."""
+"""People: bodies, clothes and gait, with the proportions of Drillis and Contini (Body Segment Parameters, 1966).
+
+Limbs and bodies are tubes with elliptic sections.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -12,11 +14,11 @@ from skope.gen.mesh import Mesh, box, flat, grid, merged
 from skope.types import Array
 
 CrossSection = tuple[tuple[float, float, float], float, float]
-"""Centre, and half the depth (x) and width (y) of an ellipse, metres."""
+"""Centre, half depth (x) and half width (y) of an ellipse, metres."""
 
 
 def trunk(sections: Sequence[CrossSection], material: str, sides: int = 10) -> Mesh:
-    """A closed upright body through level elliptic sections, from the lowest to the highest."""
+    """Build a closed upright body through level elliptic sections, from the lowest to the highest."""
     (low, *_), (high, *_) = sections[0], sections[-1]
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     rings = [
@@ -27,7 +29,7 @@ def trunk(sections: Sequence[CrossSection], material: str, sides: int = 10) -> M
 
 
 def limb(path: Sequence[ArrayLike], radii: Sequence[float], material: str, sides: int = 7) -> Mesh:
-    """A closed round limb along points (N, 3) with a radius at each."""
+    """Build a closed round limb along points (N, 3) with a radius at each point."""
     p = np.array([np.asarray(point, dtype=np.float64) for point in path])
     along = np.gradient(p, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -47,7 +49,7 @@ def limb(path: Sequence[ArrayLike], radii: Sequence[float], material: str, sides
 
 
 def ball(center: ArrayLike, radii: tuple[float, float, float], material: str, *, above: float = -1.0) -> Mesh:
-    """An ellipsoid, or what of it lies above a share of its height (-1: all)."""
+    """Build an ellipsoid, or only its part above a fraction of its half height (-1: all)."""
     steps = np.linspace(np.arcsin(above), np.pi / 2, 6)
     angle = np.linspace(0, 2 * np.pi, 11)
     around = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -56,9 +58,9 @@ def ball(center: ArrayLike, radii: tuple[float, float, float], material: str, *,
 
 
 def lens(center: ArrayLike, radius: float, material: str) -> Mesh:
-    """The glass of a lamp: a disc that faces forward where it lies before the origin, else backward.
+    """Build the glass of a lamp: a disc that faces forwards if it is in front of the origin, else backwards.
 
-    Which way a lamp shines is worked out from its surface, and a closed one faces nowhere.
+    The direction of a lamp is computed from its surface; a closed surface has no direction.
     """
     x, y, z = np.asarray(center, dtype=np.float64)
     angle = np.linspace(0, 2 * np.pi, 9)[:-1] * (1 if x > 0 else -1)
@@ -68,7 +70,7 @@ def lens(center: ArrayLike, radius: float, material: str) -> Mesh:
 EMPTY_MESH = Mesh(
     np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), ("trim",), np.zeros(0, np.int64)
 )
-"""A part that a body does without."""
+"""Empty part, for bodies without this part."""
 
 
 SKIN_COLORS: Final = ("#ffccaa", "#ddaa88", "#bb8866", "#886644", "#553322")
@@ -78,33 +80,33 @@ BOTTOM_COLORS: Final = ("#222233", "#333344", "#445577", "#776655", "#111111")
 SHOE_COLORS: Final = ("#222222", "#dddddd", "#664433")
 
 HIP, SHOULDER_HEIGHT = 0.53, 0.785
-"""Heights of the joints, as shares of the body's height."""
+"""Heights of the joints, as fractions of the body's height."""
 STRIDE_SHARE: Final = 0.83
-"""Length of two steps at a usual pace, as a share of the body's height."""
+"""Length of two steps at a normal pace, as a fraction of the body's height."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """Numbers that decide a bystander's body and clothes."""
+    """Numbers that determine a bystander's body, clothes and luggage."""
 
     height: float = 1.72
     """Height of the body, metres."""
     girth: float = 1.0
-    """Factor on the girth of a slim body."""
+    """Factor on the girth, relative to a slim body."""
     palette: float = 0.0
-    """Number of a set of colours of clothes, skin and hair, from 0."""
+    """Number of a set of colours for clothes, skin and hair, from 0."""
     bag: float = 0.0
-    """Whether the person carries a bag: yes above 0.5."""
+    """Whether the person carries a bag: yes if above 0.5."""
     jointed: float = 0.0
-    """Whether knees bend, feet are on pedals and the numbers below count: yes above 0.5."""
+    """Whether knees bend, feet are on pedals and the following fields apply: yes if above 0.5."""
     helmet: float = 0.0
-    """Whether a cyclist wears a helmet: yes above 0.5."""
+    """Whether a cyclist wears a helmet: yes if above 0.5."""
     load: float = 0.0
-    """The load that is carried or drawn: number of one of `skope.gen.bystanders.luggage.LUGGAGE_KINDS`."""
+    """Luggage: index into `skope.gen.bystanders.luggage.LUGGAGE_KINDS`."""
     passenger: float = 0.0
-    """Whether somebody rides along, on a bicycle a child in its seat: yes above 0.5."""
+    """Whether there is a passenger (on a bicycle, a child in a child seat): yes if above 0.5."""
     machine: float = 0.0
-    """The machine that is ridden: number of one of `skope.gen.bystanders.riding.MACHINE_NAMES`."""
+    """Two-wheeler: index into the names in `skope.gen.bystanders.riding.MACHINE_NAMES`."""
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> "Look":
@@ -118,11 +120,11 @@ class Look:
         )
 
     def to_dict(self) -> Mapping[str, float]:
-        """The numbers by name."""
+        """Return the numbers by name."""
         return asdict(self)
 
     def colors(self) -> tuple[str, str, str, str, str]:
-        """Skin, hair, top, bottom, shoes."""
+        """Return the colours of skin, hair, top, bottom and shoes."""
         number, out = int(self.palette), []
         for choices in (SKIN_COLORS, HAIR_COLORS, TOP_COLORS, BOTTOM_COLORS, SHOE_COLORS):
             number, which = divmod(number, len(choices))
@@ -130,13 +132,13 @@ class Look:
         return tuple(out)  # type: ignore[return-value]
 
     def digit(self, place: int, choices: int) -> int:
-        """A further number below `choices` that follows from the palette, another one for each `place`."""
+        """Return a number below `choices` that is derived from the palette; each `place` gives a different number."""
         number: int = int(self.palette) // (3375 * 7**place)
         return number % choices
 
 
 def head(look: Look, at: Array) -> list[Mesh]:
-    """Neck, head and hair of a body whose neck starts at a point (3,)."""
+    """Build neck, head and hair of a body with the base of the neck at a point (3,)."""
     h = look.height
     skin, hair, *_ = look.colors()
     middle = at + [0.015 * h, 0.0, 0.115 * h]
@@ -148,7 +150,7 @@ def head(look: Look, at: Array) -> list[Mesh]:
 
 
 def torso(look: Look) -> Mesh:
-    """The body from the hips to the neck, upright over the origin."""
+    """Build the upright torso above the origin, from the hips to the neck."""
     h, g = look.height, look.girth
     *_, top, bottom, _ = look.colors()
     levels = [(0.50, 0.060, 0.088), (0.55, 0.066, 0.094), (0.61, 0.058, 0.084), (0.70, 0.066, 0.096)]
@@ -158,7 +160,7 @@ def torso(look: Look) -> Mesh:
 
 
 def pedestrian(look: Look) -> tuple[Mesh, ...]:
-    """Body; right arm, left arm, right leg, left leg, about shoulder and hip."""
+    """Build the body; right arm, left arm, right leg and left leg, each about shoulder or hip."""
     h = look.height
     *_, top, _, _ = look.colors()
     body = [torso(look), *head(look, np.array([0.0, 0.0, 0.82 * h]))]
@@ -168,7 +170,7 @@ def pedestrian(look: Look) -> tuple[Mesh, ...]:
 
 
 def arm(look: Look, sleeve: str) -> Mesh:
-    """An arm that hangs from the origin."""
+    """Build an arm that hangs from the origin."""
     h, g = look.height, look.girth
     skin = look.colors()[0]
     elbow, wrist = np.array([-0.01 * h, 0.0, -0.18 * h]), np.array([0.02 * h, 0.0, -0.33 * h])
@@ -185,7 +187,7 @@ def arm(look: Look, sleeve: str) -> Mesh:
 
 
 def leg(look: Look) -> Mesh:
-    """A leg that hangs from the origin, its sole at the ground when it is straight."""
+    """Build a leg that hangs from the origin; the sole is on the ground if the leg is straight."""
     h, g = look.height, look.girth
     *_, bottom, shoes = look.colors()
     knee, ankle = np.array([0.012 * h, 0, -0.245 * h]), np.array([-0.005 * h, 0, -(HIP - 0.04) * h])
@@ -194,13 +196,13 @@ def leg(look: Look) -> Mesh:
 
 
 def turn_about(angle: float, at: tuple[float, float, float]) -> Array:
-    """(4, 4) a turn about y, forward for what hangs, at a point."""
+    """Return the (4, 4) rotation about a y axis through a point; positive angles move hanging parts forwards."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, 0, -s, at[0]], [0, 1, 0, at[1]], [s, 0, c, at[2]], [0, 0, 0, 1.0]])
 
 
 def strides(look: Look, travelled: float) -> Array:
-    """Poses of a walker's limbs; opposite arm and leg swing together."""
+    """Return the poses of a walker's limbs; the opposite arm and leg swing together."""
     h, g = look.height, look.girth
     swing = float(np.sin(2 * np.pi * travelled / (STRIDE_SHARE * h)))
     shoulder, hip = 0.102 * h * g, 0.05 * h * g
@@ -215,6 +217,6 @@ def strides(look: Look, travelled: float) -> Array:
 
 
 def lowered(look: Look, travelled: float) -> float:
-    """Way that a walker's body comes down where both legs are apart, metres."""
+    """Return how far a walker's body sinks when the legs are apart, metres."""
     swing = 0.38 * np.sin(2 * np.pi * travelled / (STRIDE_SHARE * look.height))
     return float(HIP * look.height * (1 - np.cos(swing)))

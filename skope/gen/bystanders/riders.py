@@ -1,4 +1,4 @@
-"""Bodies of cyclists and motorcyclists, with what they ride."""
+"""Bodies of cyclists and motorcyclists with their two-wheelers."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -13,7 +13,7 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class MachineSizes:
-    """Sizes of bicycles and motorcycles."""
+    """Dimensions of bicycles and motorcycles."""
 
     bike_wheel_m: float = 0.34
     """Radius of a bicycle's wheel, metres."""
@@ -41,7 +41,7 @@ MACHINE_SIZES: Final = MachineSizes()
 
 
 def tyre_ring(radius: float, thickness: float, material: str) -> Mesh:
-    """A tyre about the y axis."""
+    """Build a tyre around the y axis."""
     angle = np.linspace(0, 2 * np.pi, 25)
     path = radius * np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=-1) * (1 - thickness / radius)
     around = np.linspace(0, 2 * np.pi, 6)
@@ -61,7 +61,7 @@ def spoked(radius: float) -> Mesh:
 
 
 def upper_body(look: Look, hip: ArrayLike, shoulder: ArrayLike, hands: ArrayLike, lean: float) -> list[Mesh]:
-    """Torso, head and arms from a hip to a shoulder point, hands on both sides of a point."""
+    """Build torso, head and arms from a hip point to a shoulder point, with the hands on both sides of a point."""
     h, g = look.height, look.girth
     skin, _, top, bottom, _ = look.colors()
     a, b, grip = (np.asarray(p, dtype=np.float64) for p in (hip, shoulder, hands))
@@ -84,7 +84,7 @@ def upper_body(look: Look, hip: ArrayLike, shoulder: ArrayLike, hands: ArrayLike
 
 
 def _bent_leg(look: Look, hip: ArrayLike, knee: ArrayLike, foot: ArrayLike) -> Mesh:
-    """A leg in the frame of its hip."""
+    """Build a leg in the frame of its hip."""
     h, g = look.height, look.girth
     *_, bottom, shoes = look.colors()
     a, b, c = (np.asarray(p, dtype=np.float64) - np.asarray(hip) for p in (hip, knee, foot))
@@ -93,7 +93,7 @@ def _bent_leg(look: Look, hip: ArrayLike, knee: ArrayLike, foot: ArrayLike) -> M
 
 
 def cyclist(look: Look) -> tuple[Mesh, ...]:
-    """Bicycle and rider; front wheel, rear wheel, right leg, left leg."""
+    """Build bicycle and rider; front wheel, rear wheel, right leg, left leg."""
     front, rear = MACHINE_SIZES.bike_axles_m
     frame = "#" + ("aa2222", "224488", "222222", "dddddd", "227744")[int(look.palette) % 5]
     crank, seat, stem = np.array(MACHINE_SIZES.crank_m), np.array([-0.24, 0, 0.86]), np.array([0.36, 0, 0.88])
@@ -117,7 +117,7 @@ def cyclist(look: Look) -> tuple[Mesh, ...]:
     hip = np.array([-0.20, 0.0, 0.98])
     shoulder = hip + np.array([0.30, 0, 0.40]) * look.height / 1.72
     parts += upper_body(look, hip, shoulder, bar + [-0.05, 0.25, 0.02], 1.0)
-    # The knee of a rigid leg is where it is with the pedal level.
+    # The knee of a rigid leg is at its position for a level pedal.
     foot = crank + [0.02, 0.0, -0.02]
     knee = hip + np.array([0.36, 0.0, -0.20])
     leg = _bent_leg(look, hip, knee, foot)
@@ -126,7 +126,7 @@ def cyclist(look: Look) -> tuple[Mesh, ...]:
 
 
 def pedalled(look: Look, travelled: float) -> Array:
-    """Poses of a cyclist's wheels and legs."""
+    """Return the poses of a cyclist's wheels and legs."""
     front, rear = MACHINE_SIZES.bike_axles_m
     turn = travelled / MACHINE_SIZES.bike_wheel_m
     swing = 0.24 * float(np.sin(turn / MACHINE_SIZES.gear))
@@ -141,12 +141,12 @@ def pedalled(look: Look, travelled: float) -> Array:
 
 
 def motor_paint(look: Look) -> str:
-    """The paint of a motorcycle, and of its rider's helmet."""
+    """Return the paint of a motorcycle and of its rider's helmet."""
     return "#" + ("aa1111", "113388", "111111", "dddddd", "336633", "cc6600")[int(look.palette) % 6]
 
 
 def roadster(paint: str) -> list[Mesh]:
-    """A motorcycle without fairing, without its wheels."""
+    """Build a motorcycle without fairing and wheels."""
     front, rear = MACHINE_SIZES.motor_axles_m
     parts = [
         trunk([((0.05, 0, 0.30), 0.22, 0.13), ((0.05, 0, 0.45), 0.30, 0.16), ((0.02, 0, 0.62), 0.25, 0.13)], "trim"),
@@ -178,7 +178,7 @@ def roadster(paint: str) -> list[Mesh]:
 
 
 def full_helmet(neck: Array, height: float, paint: str) -> list[Mesh]:
-    """A motorcyclist's helmet with its visor, over the head on a neck (3,) of a body of a height."""
+    """Build a full-face helmet with its visor, for a neck (3,) and a body height in metres."""
     return [
         ball(neck + np.array([0.02, 0, 0.12]) * height, (0.145, 0.125, 0.15), paint),
         ball(neck + np.array([0.045, 0, 0.125]) * height, (0.115, 0.105, 0.07), "glass_tinted"),
@@ -186,12 +186,12 @@ def full_helmet(neck: Array, height: float, paint: str) -> list[Mesh]:
 
 
 def motor_wheel(radius: float) -> Mesh:
-    """A motorcycle's wheel."""
+    """Build a motorcycle wheel."""
     return merged([tyre_ring(radius, 0.06, "tyre"), lathe([(-0.04, 0.2), (0.04, 0.2)], ["rim"], 12, "y")])
 
 
 def motorcyclist(look: Look) -> tuple[Mesh, ...]:
-    """Motorcycle and rider; front wheel, rear wheel."""
+    """Build motorcycle and rider; front wheel, rear wheel."""
     paint = motor_paint(look)
     parts = roadster(paint)
     hip = np.array([-0.22, 0.0, 0.90])
@@ -207,7 +207,7 @@ def motorcyclist(look: Look) -> tuple[Mesh, ...]:
 
 
 def rolled(look: Look, travelled: float) -> Array:
-    """Poses of a motorcycle's wheels."""
+    """Return the poses of a motorcycle's wheels."""
     front, rear = MACHINE_SIZES.motor_axles_m
     turn = travelled / MACHINE_SIZES.motor_wheel_m
     at = [turn_about(-turn, (x, 0.0, MACHINE_SIZES.motor_wheel_m)) for x in (front, rear)]

@@ -1,4 +1,4 @@
-"""Bodies of people on bicycles, motorcycles and scooters: feet on pedals, pegs or, where they stand, the road."""
+"""Bodies of riders of bicycles, motorcycles and scooters, with feet on pedals, pegs or (when stopped) the road."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -25,17 +25,17 @@ MACHINE_NAMES: Final = {
     "cyclist": ("city bicycle", "racing bicycle"),
     "motorcyclist": ("roadster", "scooter", "tourer"),
 }
-"""Machines that are ridden, by number (see `Look.machine`)."""
+"""Two-wheelers by kind of rider, indexed by `Look.machine`."""
 _CITY, _RACING = range(2)
 _ROADSTER, _SCOOTER, _TOURER = range(3)
 
 
 @dataclass(frozen=True)
 class RiderPosture:
-    """Posture of riders."""
+    """Posture of riders, and dimensions of bicycles."""
 
     usual_height_m: float = 1.72
-    """Height of the body that bicycles are drawn for, metres; smaller ones have smaller bicycles."""
+    """Height of the body that bicycles are drawn for, metres; smaller people have smaller bicycles."""
     wheel_m: float = 0.34
     """Radius of a bicycle's wheel, metres."""
     crank_m: float = 0.17
@@ -43,9 +43,9 @@ class RiderPosture:
     gear: float = 2.4
     """Turns of the wheel per turn of the pedals."""
     standing_mps: float = 1.6
-    """Speed under which a rider's left foot comes down to the road, m/s."""
+    """Speed below which a rider's left foot moves down to the road, m/s."""
     lean_rad: float = 0.09
-    """Lean to the left foot of somebody who stands, radians."""
+    """Lean of a stopped rider towards the left foot, radians."""
 
 
 RIDER_POSTURE: Final = RiderPosture()
@@ -56,7 +56,7 @@ HIP_PLACE: Final = np.array([-0.20, 0.0, 0.94])
 HELMET_COLORS: Final = ("#dddddd", "#222233", "#aa2222", "#ddaa33", "#334466")
 _MOTOR_HIP: Final = {_ROADSTER: (-0.20, 0.0, 0.88), _SCOOTER: (-0.24, 0.0, 0.86), _TOURER: (-0.22, 0.0, 0.88)}
 PEG_PLACES: Final = {_ROADSTER: (-0.06, 0.17, 0.36), _SCOOTER: (0.16, 0.12, 0.33), _TOURER: (-0.14, 0.17, 0.38)}
-"""Places of the soles, on the left, by the number of the machine."""
+"""Positions of the left sole by index of the machine, metres."""
 _SCOOTER_WHEEL, _SCOOTER_AXLES = 0.24, (0.64, -0.62)
 
 
@@ -64,7 +64,7 @@ _SCOOTER_WHEEL, _SCOOTER_AXLES = 0.24, (0.64, -0.62)
 
 
 def bicycle(look: Look) -> tuple[Mesh, ...]:
-    """Bicycle and rider; front wheel, rear wheel, right thigh, left thigh; right shin, left shin, pedals."""
+    """Build bicycle and rider; front wheel, rear wheel, right thigh, left thigh; right shin, left shin, pedals."""
     usual, scale = replace(look, height=RIDER_POSTURE.usual_height_m), look.height / RIDER_POSTURE.usual_height_m
     racing = int(look.machine) == _RACING
     bar = np.array([0.40, 0.0, 0.92 if racing else 1.04])
@@ -97,7 +97,7 @@ def bicycle(look: Look) -> tuple[Mesh, ...]:
 
 
 def _frame(look: Look, bar: Array) -> list[Mesh]:
-    """A bicycle without wheels and pedals, its bar at a point (3,)."""
+    """Build a bicycle without wheels and pedals, with its handlebar at a point (3,)."""
     paint = "#" + ("aa2222", "224488", "222222", "dddddd", "227744", "cc7722")[look.digit(0, 6)]
     seat, stem, low = np.array([-0.22, 0, 0.80]), np.array([0.35, 0, 0.84]), np.array([0.40, 0, 0.64])
     front, rear = np.array([_FRONT_WHEEL, 0, RIDER_POSTURE.wheel_m]), np.array([_REAR, 0, RIDER_POSTURE.wheel_m])
@@ -141,7 +141,7 @@ def _mudguard(x: float) -> Mesh:
 
 
 def _pedals() -> Mesh:
-    """Cranks, pedals and chain wheel about the axle at the origin, the right pedal at the bottom."""
+    """Build cranks, pedals and chain wheel around the axle at the origin, with the right pedal at the bottom."""
     parts = [lathe([(-0.075, 0.09), (-0.065, 0.09)], ["rim"], 12, "y")]
     for side in (-1, 1):
         end = np.array([0.0, side * 0.09, side * RIDER_POSTURE.crank_m])
@@ -151,7 +151,7 @@ def _pedals() -> Mesh:
 
 
 def _child(look: Look) -> list[Mesh]:
-    """A child in its seat behind the saddle."""
+    """Build a child in a seat behind the saddle."""
     small = replace(look, height=1.0, girth=1.1, palette=float(int(look.palette) // 3))
     hip = np.array([-0.50, 0.0, 0.86])
     seat = [
@@ -169,7 +169,7 @@ def _child(look: Look) -> list[Mesh]:
 
 
 def pedalling(look: Look, travelled: float, speed: float) -> Array:
-    """(7, 4, 4) poses of a bicycle's wheels, its rider's legs and its pedals."""
+    """Return the poses (7, 4, 4) of a bicycle's wheels, its rider's legs and its pedals."""
     scale, usual = look.height / RIDER_POSTURE.usual_height_m, replace(look, height=RIDER_POSTURE.usual_height_m)
     turn = travelled / (RIDER_POSTURE.wheel_m * scale)
     angle = -turn / RIDER_POSTURE.gear
@@ -189,7 +189,7 @@ def pedalling(look: Look, travelled: float, speed: float) -> Array:
 
 
 def motorcycle(look: Look) -> tuple[Mesh, ...]:
-    """Motorcycle, rider and passenger; front wheel, rear wheel, right thigh, left thigh; right shin, left shin."""
+    """Build motorcycle, rider, passenger; front wheel, rear wheel, right thigh, left thigh; right shin, left shin."""
     machine, paint = int(look.machine), motor_paint(look)
     wheel = motor_wheel(_SCOOTER_WHEEL if machine == _SCOOTER else MACHINE_SIZES.motor_wheel_m)
     if machine == _SCOOTER:
@@ -219,7 +219,7 @@ def motorcycle(look: Look) -> tuple[Mesh, ...]:
 
 
 def _scooter_body(paint: str) -> list[Mesh]:
-    """A scooter without its wheels."""
+    """Build a scooter without its wheels."""
     front, _ = _SCOOTER_AXLES
     parts = [
         box((-0.20, -0.17, 0.26), (0.34, 0.17, 0.32), "trim"),
@@ -248,7 +248,7 @@ def _scooter_body(paint: str) -> list[Mesh]:
 
 
 def _fairing(paint: str) -> list[Mesh]:
-    """A touring machine's fairing and windscreen."""
+    """Build the fairing and windscreen of a touring motorcycle."""
     levels = ((0.42, 0.40, 0.26, 0.15), (0.46, 0.62, 0.28, 0.19), (0.54, 0.84, 0.22, 0.21), (0.52, 0.98, 0.14, 0.18))
     return [
         trunk([((x, 0, z), rx, ry) for x, z, rx, ry in levels], paint),
@@ -261,7 +261,7 @@ def _fairing(paint: str) -> list[Mesh]:
 
 
 def _pillion(look: Look, hip: Array) -> list[Mesh]:
-    """A passenger behind the rider."""
+    """Build a passenger behind the rider."""
     other = replace(look, height=min(look.height, 1.68), palette=float(int(look.palette) // 7))
     h = other.height
     shoulder = hip + np.array([0.06, 0.0, 0.48]) * h / RIDER_POSTURE.usual_height_m
@@ -290,7 +290,7 @@ def _motor_load(look: Look, shoulder: Array) -> list[Mesh]:
 
 
 def riding(look: Look, travelled: float, speed: float) -> Array:
-    """(6, 4, 4) poses of a motorcycle's wheels and its rider's legs."""
+    """Return the poses (6, 4, 4) of a motorcycle's wheels and its rider's legs."""
     machine = int(look.machine)
     radius, axles = (
         (_SCOOTER_WHEEL, _SCOOTER_AXLES)
@@ -309,26 +309,26 @@ def riding(look: Look, travelled: float, speed: float) -> Array:
 
 
 def standing_share(speed: float) -> float:
-    """Share, from 0 (rides) to 1, in which a rider stands on the left foot at a speed in m/s."""
+    """Return how far a rider at a speed (m/s) stands on the left foot, from 0 (rides) to 1 (stands)."""
     share = float(np.clip(1 - speed / RIDER_POSTURE.standing_mps, 0.0, 1.0))
     return share * share * (3 - 2 * share)
 
 
 def standing_lean(speed: float) -> float:
-    """Lean of a rider to the left at a speed (m/s), to stand there, radians."""
+    """Return the lean to the left of a rider at a speed (m/s), radians."""
     return RIDER_POSTURE.lean_rad * standing_share(speed)
 
 
 def _foot_down(riding_at: Array, ground: Array, speed: float) -> Array:
-    """Places of the left ankle on its way from a pedal or peg to the road: outwards first, then down."""
+    """Return the position of the left ankle between a pedal or peg and the road: first outwards, then down."""
     share = standing_share(speed)
-    # Who leans to the left by an angle has the road higher there.
+    # For a rider who leans to the left, the road is higher on that side.
     lifted = ground + [0.0, 0.0, ground[1] * np.tan(standing_lean(speed))]
     return np.asarray(riding_at + share * (lifted - riding_at) + [0.0, 0.12 * share * (1 - share), 0.0])
 
 
 def _legs(look: Look, hip: Array, apart: float, ankles: list[Array]) -> tuple[list[Array], list[Array]]:
-    """Poses of both thighs and both shins, right and left, with the hips `apart` from the middle."""
+    """Return the poses of both thighs and both shins, right and left, with the hips `apart` from the middle."""
     pairs = [leg_to(look, hip + [0.0, side * apart, 0.0], ankle) for side, ankle in zip((-1, 1), ankles, strict=True)]
     return [pair[0] for pair in pairs], [pair[1] for pair in pairs]
 

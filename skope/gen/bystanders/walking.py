@@ -1,5 +1,4 @@
-"""Bodies of people on foot whose knees bend, with what they wear and carry: legs, how walkers step, and how a foot is
-held where it has to be."""
+"""Jointed bodies of pedestrians with clothes and luggage: legs, gait, and the placing of feet."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -28,28 +27,28 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class WalkerPosture:
-    """Legs of walkers."""
+    """Leg proportions and gait of walkers."""
 
     thigh: float = 0.245
-    """From hip to knee, as a share of the body's height."""
+    """Length from hip to knee, as a fraction of the body's height."""
     shin: float = 0.245
-    """From knee to ankle, as a share of the body's height."""
+    """Length from knee to ankle, as a fraction of the body's height."""
     swing_rad: float = 0.40
-    """Largest angle of a walker's thigh from upright, radians."""
+    """Largest angle of a walker's thigh from the vertical, radians."""
     bend_rad: float = 0.95
-    """Largest angle of a walker's knee, in the middle of the leg's way forward, radians."""
+    """Largest angle of a walker's knee, in the middle of the forward swing, radians."""
 
 
 WALKER_POSTURE: Final = WalkerPosture()
 
 SOLE_SHARE: Final = HIP - WALKER_POSTURE.thigh - WALKER_POSTURE.shin
-"""From ankle to ground."""
+"""Height of the ankle above the ground, as a fraction of the body's height."""
 _HEEL, _TOES = -0.036, 0.105
-"""Ends of a shoe behind and before the ankle, as shares of the body's height."""
+"""Ends of a shoe behind and in front of the ankle, as fractions of the body's height."""
 
 
 def thigh(look: Look) -> Mesh:
-    """A thigh that hangs from the origin."""
+    """Build a thigh that hangs from the origin."""
     h, g = look.height, look.girth
     *_, bottom, _ = look.colors()
     path = [(0, 0, 0.02 * h), (0.008 * h, 0, -0.12 * h), (0, 0, -WALKER_POSTURE.thigh * h)]
@@ -58,7 +57,7 @@ def thigh(look: Look) -> Mesh:
 
 
 def shin(look: Look) -> Mesh:
-    """A lower leg that hangs from the knee at the origin, with its shoe."""
+    """Build a lower leg with its shoe, hanging from the knee at the origin."""
     h, g = look.height, look.girth
     *_, bottom, shoes = look.colors()
     path = [(0, 0, 0), (-0.008 * h, 0, -0.09 * h), (0, 0, -WALKER_POSTURE.shin * h)]
@@ -73,9 +72,9 @@ def shin(look: Look) -> Mesh:
 
 
 def leg_angles(look: Look, travelled: float, speed: float) -> list[tuple[float, float]]:
-    """Angles of a walker's right and left leg: of the thigh from upright, forward, and of the knee, radians.
+    """Return the angles of a walker's right and left leg: thigh forward from the vertical, and knee, radians.
 
-    The knee bends while the leg comes forward; who stands has both legs straight.
+    The knee bends while the leg swings forwards. A standing person has two straight legs.
     """
     pace = min(speed / 1.2, 1.3)
     phase = 2 * np.pi * travelled / (STRIDE_SHARE * look.height)
@@ -87,7 +86,7 @@ def leg_angles(look: Look, travelled: float, speed: float) -> list[tuple[float, 
 
 
 def stepping(look: Look, travelled: float, speed: float) -> Array:
-    """(4, 4, 4) poses of a walker's right and left thigh, right and left shin, in the body's frame."""
+    """Return the poses (4, 4, 4) of a walker's right and left thigh, and right and left shin, in the body's frame."""
     h, g = look.height, look.girth
     thighs, shins = [], []
     for side, (angle, knee) in zip((-1, 1), leg_angles(look, travelled, speed), strict=True):
@@ -98,20 +97,20 @@ def stepping(look: Look, travelled: float, speed: float) -> Array:
 
 
 def sunk(look: Look, travelled: float, speed: float) -> float:
-    """Way that a walker's body comes down so that the lower foot is on the ground, metres."""
+    """Return how far a walker's body sinks so that the lower foot is on the ground, metres."""
     down = []
     for angle, knee in leg_angles(look, travelled, speed):
         shin_angle = angle - knee
-        # A shoe that is turned stands on its heel or on its toes.
+        # A tilted shoe touches the ground with its heel or its toes.
         sole = (WALKER_POSTURE.shin + SOLE_SHARE) * np.cos(shin_angle) - np.sin(shin_angle) * np.array([_HEEL, _TOES])
         down.append(WALKER_POSTURE.thigh * np.cos(angle) + sole.max())
     return float(look.height * (HIP - max(down)))
 
 
 def leg_to(look: Look, hip: ArrayLike, ankle: ArrayLike) -> tuple[Array, Array]:
-    """(4, 4) poses of thigh and shin of a leg from a hip (3,) to an ankle (3,), the knee bent forward.
+    """Return the poses (4, 4) of thigh and shin of a leg from a hip (3,) to an ankle (3,), with the knee bent forwards.
 
-    An ankle that is too far away is as near to its place as the leg is long.
+    If the ankle is out of reach, the leg is stretched towards it.
     """
     a, b = WALKER_POSTURE.thigh * look.height, WALKER_POSTURE.shin * look.height
     start, end = np.asarray(hip, dtype=np.float64), np.asarray(ankle, dtype=np.float64)
@@ -126,7 +125,7 @@ def leg_to(look: Look, hip: ArrayLike, ankle: ArrayLike) -> tuple[Array, Array]:
 
 
 def _hanging(top: Array, low: Array) -> Array:
-    """(4, 4) pose that takes what hangs from the origin to between two points."""
+    """Return the pose (4, 4) that moves a part hanging from the origin to between two points."""
     z = (top - low) / np.linalg.norm(top - low)
     x = np.array([1.0, 0.0, 0.0]) - z[0] * z
     x /= np.linalg.norm(x)
@@ -141,11 +140,11 @@ ARM_ANGLES: Final = {
     "suitcase": (-0.45, None),
     "shopping bag": (0.0, None),
 }
-"""Angles from upright of the right and of the left arm with a load, radians; None for an arm that swings."""
+"""Angles of the right and the left arm from the vertical for each load, radians; None for an arm that swings."""
 
 
 def walker(look: Look) -> tuple[Mesh, ...]:
-    """Body; right arm, left arm, right thigh, left thigh; right shin, left shin."""
+    """Build the body; right arm, left arm, right thigh, left thigh; right shin, left shin."""
     h = look.height
     *_, top, _, _ = look.colors()
     neck = np.array([0.0, 0.0, 0.82 * h])
@@ -166,7 +165,7 @@ def walker(look: Look) -> tuple[Mesh, ...]:
 
 
 def _clothes(look: Look) -> list[Mesh]:
-    """A coat, a skirt or neither, and perhaps a cap."""
+    """Build a coat, a skirt or neither, and in some cases a cap."""
     h, g = look.height, look.girth
     *_, top, bottom, _ = look.colors()
     out, kind = [], look.digit(2, 6)
@@ -183,7 +182,7 @@ def _clothes(look: Look) -> list[Mesh]:
 
 
 def walked(look: Look, travelled: float, speed: float) -> Array:
-    """(6, 4, 4) poses of a walker's arms and legs; an arm swings with the leg of the other side."""
+    """Return the poses (6, 4, 4) of a walker's arms and legs; each arm swings with the opposite leg."""
     h, g = look.height, look.girth
     held = ARM_ANGLES.get(load_of(look), (None, None))
     legs = [angle for angle, _ in leg_angles(look, travelled, speed)]

@@ -1,1 +1,1 @@
-"""Stage 4: keypoints, boxes and occlusion of what stands in an image."""
+"""Stage 4: keypoints, boxes and occlusion of the objects in an image."""

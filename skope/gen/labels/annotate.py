@@ -1,7 +1,6 @@
-"""Annotate a rendered frame: labels of all vehicles that it shows, and of people on foot and on two wheels; which of
-them are ground truth and which are ignored.
+"""Annotate a rendered frame: label all visible vehicles and bystanders, and decide which labels are ignored.
 
-It knows arrays alone, and none of the engines that made them.
+This module works on arrays only and does not depend on the engines that made them.
 """
 
 import math
@@ -27,7 +26,7 @@ from skope.types import Array
 
 
 def box_around(vehicle: Vehicle, trailer: Trailer, T_world_chassis: Array, T_world_trailer: Array) -> tuple[Array, Any]:
-    """The box around both parts of an articulated vehicle, along the axes of the first.
+    """Compute the box around both parts of an articulated vehicle, along the axes of the front part.
 
     Args:
         vehicle: The part in front.
@@ -36,7 +35,7 @@ def box_around(vehicle: Vehicle, trailer: Trailer, T_world_chassis: Array, T_wor
         T_world_trailer: (4, 4) pose of the trailer, metres.
 
     Returns:
-        Middle (3,), world, and size (3,), metres.
+        Centre (3,), world, and size (3,), metres.
     """
     length, width, height = vehicle.size_lwh
     own = np.array([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]])
@@ -49,20 +48,20 @@ def box_around(vehicle: Vehicle, trailer: Trailer, T_world_chassis: Array, T_wor
 
 @dataclass
 class RuleCounts:
-    """Number of a frame's vehicles that each rule applies to, for the dataset's card."""
+    """Number of vehicles in a frame that each rule applies to, for the dataset card."""
 
     vehicles: int = 0
     """Vehicles with at least one visible pixel."""
     occluded_others: int = 0
-    """Vehicles that count as hidden by the rule `others`."""
+    """Vehicles that count as occluded by the rule `others`."""
     occluded_paper: int = 0
-    """Vehicles that count as hidden by the rule `paper`."""
+    """Vehicles that count as occluded by the rule `paper`."""
     ignored: dict[str, int] = field(default_factory=dict)
-    """Vehicles that are ignored, by reason."""
+    """Number of ignored vehicles, by reason."""
     apart_m: float = 0.0
-    """Sum over the vehicles of the mean distance between the two localizers' keypoints, metres."""
+    """Sum over all vehicles of the mean distance between the keypoints of the two localizers, metres."""
     most_apart_m: float = 0.0
-    """Largest distance between the two localizers' answers for a keypoint, metres."""
+    """Largest distance between the positions that the two localizers give for a keypoint, metres."""
 
 
 def annotate(
@@ -71,18 +70,18 @@ def annotate(
     """Annotate the vehicles of a rendered frame.
 
     Args:
-        moment: Poses of the road users, as the frame was rendered from them.
+        moment: Poses of the road users from which the frame was rendered.
         view: The rendered frame.
-        camera: Its camera.
-        rules: What is ground truth, what is ignored.
-        image_id: Id of the image, for the annotations.
+        camera: Camera of the frame.
+        rules: Rules for ground truth and ignored vehicles.
+        image_id: Id of the image, stored in the annotations.
 
     Returns:
-        Annotations of all vehicles with a visible pixel, ignored ones included, by track id; their ids count from 1
-        (the rule `paper` leaves hidden vehicles out). And how many vehicles each rule applies to.
+        Annotations of all vehicles with a visible pixel, including ignored ones, sorted by track id, with ids from 1
+        (the rule `paper` omits occluded vehicles); and the number of vehicles that each rule applies to.
     """
     labelled = range(len(moment.labelled().vehicles))
-    # Vehicles that no pixel shows have no label, and are not built for one.
+    # Vehicles without visible pixels get no label; their bodies are not built.
     extents = {i: extent for i in labelled if (extent := measure_extent(view, i, camera))}
     seen = sorted(extents, key=lambda i: moment.vehicles[i].track_id)
     world = world_keypoints(moment.only(seen), rules.localizer)
@@ -128,7 +127,7 @@ def annotate(
 
 
 def _clip_to_image(pixels: Array, camera: Camera) -> Array:
-    """Pixels (..., 2), rounded to 0.01 as annotation files have them, and kept inside the image."""
+    """Clip pixels (..., 2) to the image and round them to 0.01, as in annotation files."""
     return np.clip(np.round(np.nan_to_num(pixels), 2), 0, [camera.width - 0.01, camera.height - 0.01])
 
 
@@ -160,15 +159,15 @@ def annotate_road_users(
     """Label the bystanders of a rendered frame.
 
     Args:
-        moment: Poses of the road users, as the frame was rendered from them.
+        moment: Poses of the road users from which the frame was rendered.
         view: The rendered frame.
-        camera: Its camera.
-        rules: What is ignored.
-        image_id: Id of the image, for the labels.
-        first_id: Id of the first label; those of others count on from it.
+        camera: Camera of the frame.
+        rules: Rules for ignored road users.
+        image_id: Id of the image, stored in the labels.
+        first_id: Id of the first label; the ids of the following labels count up from it.
 
     Returns:
-        Labels of all bystanders with a visible pixel, ignored ones included, by track id.
+        Labels of all bystanders with a visible pixel, including ignored ones, sorted by track id.
     """
     others = [i for i, recorded in enumerate(moment.vehicles) if not recorded.labelled]
     out: list[RoadUser] = []

@@ -18,10 +18,11 @@ class LabelLimits:
     """Limits below which a vehicle is ignored."""
 
     pixels: int = 20
-    """Vehicles with fewer visible pixels are ignored as `small`."""
+    """Minimum number of visible pixels; vehicles with fewer are ignored as `small`."""
     contrast: float = 1.0
-    """Vehicles whose visible pixels change by less than this on average, in units of what noise and compression hide,
-    are ignored as `unseen`."""
+    """Minimum mean contrast of a vehicle's visible pixels, in multiples of the noise floor (noise and compression).
+
+    Vehicles with less are ignored as `unseen`."""
 
 
 LABEL_LIMITS: Final = LabelLimits()
@@ -29,14 +30,14 @@ LABEL_LIMITS: Final = LabelLimits()
 
 @dataclass(frozen=True, kw_only=True)
 class Rules:
-    """Rules on what is ground truth and what ignored, and on how keypoints are localised."""
+    """Rules for ground truth and ignored road users, and the method of keypoint localisation."""
 
     occlusion: str = "others"
     localizer: str = "rigid"
     min_visible: float = 0.15
-    """Less than this share of the silhouette unhidden and inside the image: `sliver`."""
+    """Minimum visible fraction of the whole silhouette; a road user below it is ignored as `sliver`."""
     min_box: float = 12.0
-    """A box whose shorter edge is under this many pixels: `small`."""
+    """Minimum length of a box's shorter edge, pixels; a road user below it is ignored as `small`."""
 
     def __post_init__(self) -> None:
         one_of("--occlusion-rule", self.occlusion, OCCLUSION_RULES)
@@ -44,33 +45,33 @@ class Rules:
         if not 0 <= self.min_visible <= 1:
             raise UserError(f"--min-visible: expected a share from 0 to 1, got {self.min_visible}")
         if not self.min_box >= 0:
-            raise UserError(f"--min-box: expected pixels from 0, got {self.min_box}")
+            raise UserError(f"--min-box: expected a number of pixels from 0, got {self.min_box}")
 
 
 def occluded_by_others(hidden_by_others: Mask, inside: Mask) -> Mask:
-    """(...,) whether a vehicle counts as hidden by the rule `others`.
+    """Return whether vehicles (...,) count as occluded by the rule `others`.
 
-    It does where something else hides more than half of its keypoints inside the image; both masks are (..., 33).
+    A vehicle does if other objects hide more than half of its keypoints in the image. Both masks are (..., 33).
     """
     return np.asarray(hidden_by_others.sum(-1) * 2 > inside.sum(-1))
 
 
 def counts_as_hidden(extent: Extent) -> bool:
-    """Whether a road user without keypoints counts as occluded.
+    """Return whether a road user without keypoints counts as occluded.
 
-    It does if something else hides more than half of its silhouette inside the image.
+    It does if other objects hide more than half of its silhouette in the image.
     """
     return 2 * extent.visible < extent.inside
 
 
 def ignore_reason(shape: Extent, occluded: bool, contrast: float, rules: Rules) -> str | None:
-    """Tell why a road user is ignored; None where it is ground truth.
+    """Return why a road user is ignored, or None if it is ground truth.
 
     Args:
-        shape: Its boxes and pixel counts.
-        occluded: Whether something else hides it, by the rule of occlusion.
-        contrast: Its contrast with what is behind it, in deviations of the noise.
-        rules: The limits.
+        shape: Boxes and pixel counts of the road user.
+        occluded: Whether it counts as occluded by the occlusion rule.
+        contrast: Contrast with its background, in multiples of the noise floor.
+        rules: Limits.
     """
     if occluded:
         return "occluded"

@@ -25,12 +25,12 @@ class Extent:
     visible: int
     """Number of visible pixels."""
     inside: int
-    """Pixels of the whole silhouette inside the image."""
+    """Number of pixels of the whole silhouette inside the image."""
     whole: int
-    """Pixels of the whole silhouette, also outside the image."""
+    """Number of pixels of the whole silhouette, inside and outside the image."""
 
     def fields(self) -> dict[str, Any]:
-        """The fields of `schema.Labelled` that follow from these."""
+        """Return the fields of `schema.Labelled` that follow from the extent."""
         return {
             "bbox": self.bbox,
             "bbox_visible": self.bbox_visible,
@@ -43,12 +43,12 @@ class Extent:
 
 
 def measure_extent(view: RenderedFrame, i: int, camera: Camera) -> Extent | None:
-    """Boxes, mask and pixel counts of a road user; None where none of its pixels is visible.
+    """Measure the boxes, mask and pixel counts of a road user; return None if no pixel of it is visible.
 
     Args:
         view: The rendered frame.
-        i: Number of the road user in it.
-        camera: The frame's camera.
+        i: Index of the road user in the frame.
+        camera: Camera of the frame.
     """
     silhouette = view.silhouettes[i]
     height, width = silhouette.mask.shape
@@ -58,8 +58,8 @@ def measure_extent(view: RenderedFrame, i: int, camera: Camera) -> Extent | None
     if not visible.any():
         return None
     whole = silhouette.mask[y0 - silhouette.y : y1 - silhouette.y, x0 - silhouette.x : x1 - silhouette.x]
-    # The silhouette is drawn in another window, where an edge may round to the pixel beside it; visible pixels are part
-    # of the vehicle in any case.
+    # The silhouette is drawn in another window, where an edge can round to the neighbouring pixel. Visible pixels are
+    # always part of the vehicle.
     inside = whole | visible
     corner = np.array([x0, y0, 0, 0])
     return Extent(
@@ -73,14 +73,14 @@ def measure_extent(view: RenderedFrame, i: int, camera: Camera) -> Extent | None
 
 
 def _segmentation(mask: Mask, corner: tuple[int, int], size: tuple[int, int]) -> dict[str, Any]:
-    """COCO's RLE of an image of `size` (width, height) with a mask at `corner` (x, y) and nothing else."""
+    """Return COCO's RLE of an image of `size` (width, height) that contains only a mask at `corner` (x, y)."""
     (x0, y0), (width, height) = corner, size
-    # RLE runs go down the columns; an empty row at the end keeps a run from continuing in the next column.
+    # RLE runs go down the columns; an empty row at the end separates the runs of adjacent columns.
     columns = np.pad(mask, ((0, 1), (0, 0))).T.ravel()
     edges = np.flatnonzero(np.diff(columns, prepend=False))
     column, row = np.divmod(edges, len(mask) + 1)
     edges = (x0 + column) * height + y0 + row
-    # In a mask as high as the image a run may end where the next begins: such runs are joined.
+    # If a mask is as high as the image, a run can end where the next one begins: such runs are joined.
     meets = np.flatnonzero(edges[1:] == edges[:-1])
     edges = np.delete(edges, np.concatenate([meets, meets + 1]))
     counts = np.diff(edges[edges < width * height], prepend=0, append=width * height).tolist()
@@ -89,5 +89,5 @@ def _segmentation(mask: Mask, corner: tuple[int, int], size: tuple[int, int]) ->
 
 
 def bbox_of(mask: Mask) -> Array:
-    """(4,) x, y, width, height of the tight box around a mask's (H, W) pixels."""
+    """Return x, y, width and height (4,) of the tight box around the pixels of a mask (H, W)."""
     return np.array(cv2.boundingRect(mask.view(np.uint8)), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Visibility of keypoints: what the image shows before each, and rays to those at an edge."""
+"""Visibility of keypoints, from the rendered depth and ids; rays decide at edges."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -16,34 +16,35 @@ from skope.types import Array, Mask
 
 @dataclass(frozen=True)
 class VisibilityTolerances:
-    """Tolerances within which a keypoint counts as visible."""
+    """Tolerances for the visibility of keypoints."""
 
     point_m: float = 0.05
-    """A keypoint no farther than this behind the surface that the image shows counts as visible, metres."""
+    """Maximum distance of a visible keypoint behind the surface that the image shows, metres."""
     vehicle_m: float = 0.20
-    """A keypoint this far behind the surface shown counts as hidden where a whole vehicle is judged, metres
-    (SKoPe3D)."""
+    """Distance behind the visible surface above which whole-vehicle rules count a keypoint as hidden, metres.
+
+    Source: SKoPe3D."""
     slope_m: float = 5.0
-    """Largest allowance for the slope of a surface within a pixel, metres; see `behind`."""
+    """Maximum allowance for the slope of a surface within a pixel, metres; see `behind`."""
 
 
 VISIBILITY_TOLERANCES: Final = VisibilityTolerances()
 
 
 def behind(view: RenderedFrame, camera: Camera, points: Array) -> tuple[Array, NDArray[np.int32]]:
-    """Distance of points behind the surfaces that the four pixels around them show.
+    """Compute the distance of points behind the surfaces that the four surrounding pixels show.
 
-    A pixel's depth is that of its centre, not of the point's ray: what the surface's slope can make between the two is
-    subtracted, up to `VISIBILITY_TOLERANCES.slope_m`.
+    A pixel's depth belongs to its centre and not to the ray of the point. The largest difference that the surface's
+    slope can cause between the two is subtracted, up to `VISIBILITY_TOLERANCES.slope_m`.
 
     Args:
         view: The rendered frame.
-        camera: Its camera.
-        points: (..., 3) world, metres.
+        camera: Camera of the frame.
+        points: (..., 3) points, world, metres.
 
     Returns:
-        (4, ...) metres behind the surface, as distances from the camera's centre; NaN outside the image. (4, ...) ids
-        of the pixels; -2 outside the image. The first of the four is the pixel that the point is in.
+        (4, ...) distance behind the surface, metres, along rays from the camera's centre; NaN outside the image. (4,
+        ...) ids of the pixels; -2 outside the image. The first of the four is the pixel that contains the point.
     """
     pixels, _, valid = camera.project(points)
     seen = valid & camera.inside(pixels)
@@ -58,7 +59,8 @@ def behind(view: RenderedFrame, camera: Camera, points: Array) -> tuple[Array, N
     centers = which + 0.5
     rays, _ = camera.rays(centers)
     length = np.linalg.norm(rays, axis=-1)
-    # On a plane the inverse depth is linear in the pixel, which carries the slope from the centre to the point's ray.
+    # On a plane the inverse depth is linear in the pixel; the slope gives its change from the centre to the point's
+    # ray.
     shift = (view.slope[rows, columns].astype(np.float64) * (at - centers)).sum(-1)
     finite = np.isfinite(depth)
     z = np.where(finite, depth, 1.0)
@@ -77,29 +79,30 @@ def find_hidden(
     gap: Array,
     shown: NDArray[np.int32],
 ) -> Mask:
-    """Find the keypoints that something hides.
+    """Find the keypoints that an object hides.
 
-    Where the four pixels around a point show the same object and agree, they decide. Where an edge passes between
-    them, a ray to the point decides, since road users' shapes are known exactly. Scenery hides the point if the
-    point's own pixel shows it, or where all four show what stands before the point and one of them scenery: the ray
-    that passes by the edge of a road user meets that.
+    If the four pixels around a point show the same object and agree, they decide. If an edge passes between them, a ray
+    to the point decides, since the shapes of road users are known exactly.
+
+    Scenery hides a point in two cases: its own pixel shows scenery in front of it; or all four pixels show something in
+    front of it and at least one of them shows scenery.
 
     Args:
         moment: Poses of the road users.
-        world: Keypoints of N vehicles where they are in the world.
+        world: Keypoints of N vehicles in the world.
         view: The rendered frame.
-        camera: Its camera.
-        inside: (N, 33) which keypoints are in the image.
-        gap: (4, N, 33) metres of each behind the surface that the pixels around it show, as `behind` gives them.
-        shown: (4, N, 33) ids of these pixels.
+        camera: Camera of the frame.
+        inside: (N, 33) whether each keypoint is in the image.
+        gap: (4, N, 33) distances of the keypoints behind the surfaces around them, metres, as `behind` returns them.
+        shown: (4, N, 33) ids of the pixels around the keypoints.
 
     Returns:
-        (N, 33) which are hidden.
+        (N, 33) whether each keypoint is hidden.
     """
     blocked = np.nan_to_num(gap, nan=0.0) > VISIBILITY_TOLERANCES.point_m
     hidden: Mask = blocked[0].copy()
     edge = (blocked != blocked[0]).any(axis=0) | (shown != shown[0]).any(axis=0)
-    # A wheel's centre may be inside the image while the middle of its face, which is tested, is not.
+    # A wheel's centre may be inside the image although the middle of its outer face, which is tested, is not.
     beyond = inside & np.isnan(gap[0])
     doubtful = (edge & ~(blocked[0] & (shown[0] == STATIC_ID))) | beyond
     if doubtful.any():
@@ -109,7 +112,7 @@ def find_hidden(
         hidden[doubtful] = away - hits > VISIBILITY_TOLERANCES.point_m
         hidden |= blocked.all(axis=0) & (shown == STATIC_ID).any(axis=0)
     if beyond.any():
-        # No ray meets scenery: the pixel of the wheel's centre shows it, which its own face is before.
+        # Rays do not test scenery. The pixel of the wheel's centre shows scenery that is in front of the wheel.
         to_center, at_center = behind(view, camera, world.points[beyond])
         hidden[beyond] |= (at_center[0] == STATIC_ID) & (to_center[0] > VISIBILITY_TOLERANCES.vehicle_m)
     return hidden

@@ -1,1 +1,1 @@
-"""Stage 5: images, labels and the card of a dataset as files."""
+"""Stage 5: writing of images, labels and the dataset card."""

@@ -1,6 +1,6 @@
-"""A dataset's card in words: the sections of its README and of its gallery, from what dataset.json says.
+"""A dataset's card in words: the sections of its README and gallery, from dataset.json.
 
-Cards of imported datasets say less; what they do not say is left out.
+Cards of imported datasets contain less; missing information is left out.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ LIMITS_HEADING: Final = "Limits"
 
 @dataclass(frozen=True)
 class Command:
-    """A line for the shell."""
+    """Command line for the shell."""
 
     command: str
 
@@ -28,11 +28,11 @@ class Command:
 class Section:
     title: str
     blocks: Sequence[str | list[str] | Command | Table]
-    """Paragraphs, lists, commands and tables."""
+    """Paragraphs, lists, commands and tables of the section."""
 
 
 def sections(card: Card) -> list[Section]:
-    """The sections of a dataset's README, in the order of reading."""
+    """Return the sections of a dataset's README in reading order."""
     parts = [
         Section("What it is for", purposes()),
         Section("How it was made", [*_command(card), made(card), _sources(card)]),
@@ -46,7 +46,7 @@ def sections(card: Card) -> list[Section]:
 
 
 def card_summary(card: Card) -> str:
-    """A dataset in one sentence."""
+    """Return a one-sentence summary of a dataset."""
     counts = card.get("counts", {})
     if "images" not in counts:
         return f"Images of vehicles with 33 keypoints each{_scheme(card)}."
@@ -62,23 +62,23 @@ def card_summary(card: Card) -> str:
 
 
 def _by_category(card: Card) -> dict[str, Mapping[str, int]]:
-    """Counts of each category without keypoints that a dataset labels."""
+    """Return the counts of each labelled category without keypoints."""
     told = card.get("counts", {}).get("by_category", {})
     return {name: told.get(name, {"ground_truth": 0, "ignored": 0}) for name in card.get("categories", ())[1:]}
 
 
 def _scheme(card: Card) -> str:
-    """The name of the keypoint scheme in brackets, where it is not `skope33`."""
+    """Return the name of the keypoint scheme in brackets, unless it is `skope33`."""
     scheme = card.get("keypoint_scheme")
     return f" (scheme {scheme})" if scheme != keypoints.SCHEME else ""
 
 
 def purposes() -> list[str]:
-    """Purposes of a dataset."""
+    """Return the purposes of a dataset."""
     return [
-        "Training and measuring detectors of vehicle keypoints for fixed roadside cameras, and developing what builds "
-        "on keypoints: position, heading, size and speed of vehicles from one camera. Where there are masks, 3D boxes, "
-        "depth and track numbers, it serves segmentation, monocular 3D detection and tracking too.",
+        "Training and evaluating detectors of vehicle keypoints for fixed roadside cameras, and developing methods "
+        "that use keypoints: position, heading, size and speed of vehicles from one camera. With masks, 3D boxes, "
+        "depth and track numbers, it also serves segmentation, monocular 3D detection and tracking.",
     ]
 
 
@@ -87,7 +87,7 @@ def _command(card: Card) -> list[Command]:
 
 
 def _sources(card: Card) -> list[str]:
-    """The datasets that a joined one was joined from."""
+    """Return the datasets that were merged into this one."""
     return [
         f"{of['name']} ({of['licence']})" + (f": `{of['command']}`" if of.get("command") else "")
         for of in card.get("sources", ())
@@ -95,7 +95,7 @@ def _sources(card: Card) -> list[str]:
 
 
 def made(card: Card) -> list[str]:
-    """Origin of a dataset that `skope gen` made."""
+    """Return how a dataset from `skope gen` was made."""
     values, versions = card.get("parameters", {}), card.get("versions", {})
     if not values:
         return []
@@ -107,15 +107,15 @@ def made(card: Card) -> list[str]:
     else:
         place = "of sites in seven invented towns (`skope gen sites` lists them)"
     return [
-        "Everything is simulated and drawn; nobody labelled anything by hand, and the same command gives the same "
-        f"labels again (seed {card.get('seed')}).",
-        f"Traffic is SUMO's, past cameras {place}; vehicles are bodies with sprung wheels in pybullet, and their "
-        "keypoints come from where those bodies are.",
-        f"Pictures are drawn by the renderer `{card.get('renderer')}`, with weather, light, exposure, noise and lens "
-        "of each recording's own; visibility is told from the depth and instance images of the same frame.",
+        "All scenes are simulated and rendered. All labels are computed, and the same command gives the same labels "
+        f"again (seed {card.get('seed')}).",
+        f"The traffic is simulated by SUMO, past cameras {place}. Vehicles are bodies with sprung wheels in pybullet, "
+        "and their keypoints follow from the poses of these bodies.",
+        f"Images are rendered by `{card.get('renderer')}`; each recording has its own weather, light, exposure, noise "
+        "and lens. Visibility is computed from the depth and instance images of the same frame.",
         *_asked(values),
         *(
-            [f"Models that only test sites show: {', '.join(fleet['held_out'])}."]
+            [f"Models that appear at test sites only: {', '.join(fleet['held_out'])}."]
             if fleet.get("held_out") and not own
             else []
         ),
@@ -124,17 +124,15 @@ def made(card: Card) -> list[str]:
 
 
 def _asked(values: Mapping[str, Any]) -> list[str]:
-    """Light and traffic that were asked for, where they were."""
+    """Return sentences on the requested light and traffic."""
     said = [
-        f"{what} is never another than {' or '.join(names)}, which was asked for."
+        f"{what} is always {' or '.join(names)}, as requested."
         for what, names in (("The weather", values.get("weather")), ("The time of day", values.get("time_of_day")))
         if names
     ]
     share = values.get("vehicle_share")
     if share:
-        said.append(
-            f"Of the traffic {share:.0%} is of the models that were asked for: {', '.join(values['vehicles'])}."
-        )
+        said.append(f"{share:.0%} of the traffic is of the requested models: {', '.join(values['vehicles'])}.")
     return said
 
 
@@ -144,11 +142,11 @@ def _rules_in_numbers(card: Card) -> list[str]:
     said = []
     if taken:
         said.append(
-            f"Of {taken['vehicles']} vehicles the occlusion rule `others` takes {taken['taken_by_others']}, the rule "
-            f"`paper` {taken['taken_by_paper']}."
+            f"The occlusion rule `others` applies to {taken['taken_by_others']} of {taken['vehicles']} vehicles, "
+            f"the rule `paper` to {taken['taken_by_paper']}."
         )
     if known:
-        said.append(f"Trilateration and the rigid transform are apart by {', '.join(known)} over their keypoints.")
+        said.append(f"Distance between keypoints of trilateration and the rigid transform: {', '.join(known)}.")
     return said
 
 
@@ -184,65 +182,65 @@ def _balance(card: Card) -> list[Table]:
 
 
 def limits(card: Card) -> list[str]:
-    """Limits that a user must know before relying on a dataset."""
+    """Return the limits that a user must know before relying on a dataset."""
     fleet, depth = card.get("fleet", {}), card.get("depth", "")
     said = [
         "Not validated for safety or enforcement: neither this dataset nor a detector trained on it has been validated "
-        "for functions on which safety depends, or for measuring and prosecuting offences.",
+        "for safety-related functions, or for measuring and prosecuting offences.",
     ]
     if not card.get("parameters"):
         return said
     said += [
-        "The pictures are drawn. A detector trained on them alone finds less in photographs: measure it on labelled "
-        "footage of the road where it is to work, and fine-tune it there.",
+        "The images are synthetic. A detector trained only on them finds fewer vehicles in photographs: evaluate it on "
+        "labelled footage of the road where you want to use it, and fine-tune it there.",
         _left_unlabelled(card),
-        "Hidden keypoints (v = 1) are exact although nobody could see them: labels by hand of photographs are not.",
+        "Hidden keypoints (v = 1) are exact, unlike those in manual labels of photographs.",
     ]
     if fleet.get("substituted"):
         said.append(
-            "A body without a part has its keypoint at the nearest equivalent: "
+            "A body without a certain part has the keypoint at the nearest equivalent: "
             + "; ".join(f"{name} ({len(points)})" for name, points in fleet["substituted"].items())
             + " (dataset.json names them)."
         )
     if depth and depth != "none":
-        said.append("Depth files end at 255.99 m.")
+        said.append("Depth files store distances up to 255.99 m.")
     return said
 
 
 def _left_unlabelled(card: Card) -> str:
     if len(card.get("categories", ())) > 1:
         return (
-            "Only motor vehicles with four or more wheels have keypoints. Bicycles and motorcycles (with whoever rides "
-            "them) and pedestrians are categories of their own, with boxes and masks; of a truck with a trailer the "
-            "tractor is labelled. People in vehicles have no labels, nor have parked bicycles and motorcycles."
+            "Only motor vehicles with four or more wheels have keypoints. Bicycles and motorcycles (including their "
+            "riders) and pedestrians have their own categories, with boxes and masks. If a truck has a trailer, "
+            "the tractor is labelled. People in vehicles, parked bicycles and parked motorcycles have no labels."
         )
     return (
-        "Only motor vehicles with four or more wheels are labelled. Pedestrians, bicycles and motorcycles may stand "
-        "before them and have no labels; of a truck with a trailer the tractor is labelled."
+        "Only motor vehicles with four or more wheels are labelled. Pedestrians, bicycles and motorcycles can hide "
+        "them but have no labels. If a truck has a trailer, the tractor is labelled."
     )
 
 
 def people(card: Card) -> str:
-    """Statement on persons in a dataset."""
+    """Return a statement on the people in a dataset."""
     values = card.get("parameters")
     if not values:
         return ""
     if (values.get("own") or {}).get("photograph"):
         return (
             "Vehicles, plates and drivers are invented. The background is the user's photograph of a real place: "
-            "whoever passes the dataset on answers for whom it shows."
+            "anyone who passes the dataset on is responsible for the people in it."
         )
-    return "No person, vehicle, plate or place in the pictures is real."
+    return "No person, vehicle, plate or place in the images is real."
 
 
 def licence(card: Card) -> str:
-    """Licence of a dataset, with the address of a known one."""
+    """Return the licence of a dataset, with its address if it is known."""
     stated = str(card.get("licence", ""))
     return f"{stated} ({LICENCE_ADDRESSES[stated]})" if stated in LICENCE_ADDRESSES else stated
 
 
 def markdown(card: Card) -> str:
-    """A card as README.md."""
+    """Return a card as the text of README.md."""
     lines = [f"# {DATASET_TITLE}", "", card_summary(card), ""]
     for section in sections(card):
         lines += [f"## {section.title}", ""]

@@ -1,8 +1,7 @@
-"""croissant.json: a dataset described for catalogues and loaders, in MLCommons Croissant 1.0 with its RAI extension.
+"""croissant.json: description of a dataset for catalogues and loaders (MLCommons Croissant 1.0 with RAI).
 
-Source: the format's specification, docs.mlcommons.org/croissant/docs/croissant-spec.html. What only a publisher knows
-(url, creator, datePublished) is left to be added where the dataset is published. No date stands in it: the same dataset
-has the same bytes.
+Source: the format's specification, docs.mlcommons.org/croissant/docs/croissant-spec.html. The publisher has to add what
+only the publisher knows (url, creator, datePublished). The file contains no date, so equal datasets have equal bytes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -77,30 +76,34 @@ _IMAGE_FIELDS: Final = {
     "file_name": ("sc:Text", "Path of the image in the dataset."),
     "width": ("sc:Integer", "Pixels."),
     "height": ("sc:Integer", "Pixels."),
-    "site": ("sc:Text", "Where the camera hangs."),
-    "recording": ("sc:Text", "One stretch of time at a site."),
-    "frame_index": ("sc:Integer", "Place in the recording."),
+    "site": ("sc:Text", "Camera site."),
+    "recording": ("sc:Text", "Recording at the site, a continuous period."),
+    "frame_index": ("sc:Integer", "Index of the frame in its recording."),
     "split": ("sc:Text", "train, or a test split."),
     "weather": ("sc:Text", f"One of {', '.join(schema.WEATHER_NAMES)}."),
 }
 _VEHICLE_FIELDS: Final = {
     "id": ("sc:Integer", "Number of the annotation, unique in the dataset."),
-    "image_id": ("sc:Integer", "Its image."),
-    "bbox": ("cr:BoundingBox", "x, y, width, height in pixels: the whole vehicle as if nothing stood before it."),
+    "image_id": ("sc:Integer", "Id of the annotation's image."),
+    "bbox": ("cr:BoundingBox", "x, y, width, height in pixels of the whole vehicle, including its hidden parts."),
     "keypoints": ("sc:Float", "33 times x, y, v; v = 2 visible, 1 hidden, 0 outside the image."),
     "iscrowd": ("sc:Integer", "1: ignored, neither ground truth nor background."),
-    "track_id": ("sc:Integer", "The same vehicle at the same site."),
+    "track_id": ("sc:Integer", "Id of the vehicle at its site."),
     "vehicle_type": ("sc:Text", "One of {types}."),
 }
 
 RECORD_SETS: Final = {
-    "images": ("images", "Images of all splits; COCO keypoints, a file a split.", _IMAGE_FIELDS),
-    "vehicles": ("annotations", "Annotated vehicles of all splits; COCO keypoints, a file a split.", _VEHICLE_FIELDS),
+    "images": ("images", "Images of all splits; COCO keypoints, one file per split.", _IMAGE_FIELDS),
+    "vehicles": (
+        "annotations",
+        "Annotated vehicles of all splits; COCO keypoints, one file per split.",
+        _VEHICLE_FIELDS,
+    ),
 }
 
 
 def croissant(card: Mapping[str, Any], sums: Mapping[str, str]) -> Json:
-    """The document for a card and the dataset's checksums (SHA-256 by path, as the manifest has them)."""
+    """Return the document for a card and the dataset's checksums (SHA-256 by path, from the manifest)."""
     licence = str(card["licence"])
     return {
         "@context": JSON_LD_CONTEXT,
@@ -125,7 +128,7 @@ def croissant(card: Mapping[str, Any], sums: Mapping[str, str]) -> Json:
 
 
 def _types(card: Mapping[str, Any]) -> str:
-    """The vehicle types that drive everywhere, and those that the dataset has besides."""
+    """Return the vehicle types of the standard fleet, and any other types in the dataset."""
     usual = {entry.vehicle.vehicle_type for entry in fleet().values() if not entry.further} | {"other"}
     usual |= card.get("counts", {}).get("by_vehicle_type", {}).keys()
     return ", ".join(kind for kind in schema.VEHICLE_TYPES if kind in usual)
@@ -133,7 +136,7 @@ def _types(card: Mapping[str, Any]) -> str:
 
 def _folder(sums: Mapping[str, str], types: str, categories: Sequence[str]) -> Json:
     files = [_file(path, sums, "application/json") for path in sums if path.startswith("annotations/")]
-    # Readers take one list of rows from a set of files, so that the same files are two sets.
+    # A reader takes one list of rows from a set of files, so the same files are declared as two sets.
     files += [
         _set(f"files-of-{name}", "annotations/*.json", "application/json", description)
         for name, (_, description, _) in RECORD_SETS.items()
@@ -145,9 +148,9 @@ def _folder(sums: Mapping[str, str], types: str, categories: Sequence[str]) -> J
     records = []
     for name, (rows, description, fields) in RECORD_SETS.items():
         if rows == "annotations" and categories:
-            description = "Annotated road users of all splits; COCO keypoints, a file a split."
+            description = "Annotated road users of all splits; COCO keypoints, one file per split."
             ids = ", ".join(f"{schema.CATEGORY_NAMES.index(one) + 1} {one}" for one in categories)
-            # Readers put columns side by side, so that none may be missing in some rows.
+            # Readers put columns side by side, so no column may be missing in some rows.
             fields = {key: value for key, value in fields.items() if key != "vehicle_type"}
             fields["category_id"] = ("sc:Integer", f"One of {ids}.")
         records.append(_record_set(name, rows, description, fields, types))
@@ -155,8 +158,8 @@ def _folder(sums: Mapping[str, str], types: str, categories: Sequence[str]) -> J
 
 
 def _shards(sums: Mapping[str, str]) -> Json:
-    """Archives, whose members (WebDataset) no record of the format describes."""
-    description = "Where in its shard each member lies: offset and size in bytes."
+    """Return the description of archives; Croissant cannot describe their members (WebDataset)."""
+    description = "Offset and size of each member in its shard, bytes."
     return {
         "distribution": [
             *(_file(path, sums, "application/x-tar") for path in sums if path.endswith(".tar")),
@@ -190,9 +193,9 @@ def _set(name: str, includes: str, kind: str, description: str) -> Json:
 
 
 def _record_set(name: str, rows: str, description: str, fields: Mapping[str, tuple[str, str]], types: str) -> Json:
-    """The list `rows` of the annotation files.
+    """Return the record set for the list `rows` of the annotation files.
 
-    An annotation's image is not given as a reference: readers would join the two lists' rows one by one.
+    The image of an annotation is not declared as a reference, since readers would then join the two lists row by row.
     """
     return {
         "@type": "cr:RecordSet",

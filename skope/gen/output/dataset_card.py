@@ -21,16 +21,16 @@ from skope.gen.vehicles.fleet import fleet
 
 CROISSANT_FILE: Final = "croissant.json"
 VARIED_PRESETS: Final = ("world", "nights", "conditions")
-"""Presets that have views, jitter and labelled road users unless they are told otherwise."""
+"""Presets that have views, jitter and labelled road users by default."""
 PHOTOGRAPH_RIGHTS: Final = "what is drawn: {}; the background is the user's photograph, whose rights are as they were"
 
 
 def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
-    """The content of dataset.json.
+    """Return the content of dataset.json.
 
     Args:
         plan: Parameters and recordings of the dataset.
-        counts: Images and vehicles of the whole dataset.
+        counts: Counts of images and vehicles in the whole dataset.
     """
     parameters, variation = plan.parameters, plan.parameters.variation
     own, solid = parameters.own, parameters.renderer == "pybullet"
@@ -69,11 +69,11 @@ def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
 
 
 def command(p: Parameters) -> str:
-    """The command that makes the same dataset again."""
+    """Return the command that reproduces the dataset."""
     variation, counts = p.variation, set(p.frames.values())
     parts = [f"skope gen --preset {p.preset} --seed {p.seed}"]
     parts.append(f"--site {p.own.file}" if p.own else f"--sites {','.join(p.sites)}")
-    if len(counts) == 1:  # else they are the preset's
+    if len(counts) == 1:  # otherwise they are the preset's
         parts.append(f"--frames {counts.pop()}")
     parts.append(f"--recordings {p.recordings} --interval {p.interval_s} --size {p.size}")
     if not p.own:
@@ -111,41 +111,41 @@ def _switch(name: str, on: bool) -> str:
 
 
 def label_rules(rules: Rules) -> list[str]:
-    """The rules behind the labels, in words."""
+    """Return the rules of the labels in words."""
     by_rule = {
-        "others": "ignored (occluded) when something else hides more than half of its keypoints inside the image",
-        "paper": "removed when more than half of its 33 keypoints are hidden, by itself or by anything else",
+        "others": "ignored (occluded) if other objects hide more than half of its keypoints inside the image",
+        "paper": "removed if more than half of its 33 keypoints are hidden, by itself or by other objects",
     }[rules.occlusion]
     return [
-        "v = 2: visible; v = 1: inside the image but hidden by the vehicle itself or by something else; "
+        "v = 2: visible; v = 1: inside the image but hidden by the vehicle itself or by another object; "
         "v = 0: outside the image, x = y = 0.",
-        f"A keypoint is hidden when it lies more than {visibility.VISIBILITY_TOLERANCES.point_m} m behind the "
+        f"A keypoint is hidden if it is more than {visibility.VISIBILITY_TOLERANCES.point_m} m behind the "
         f"surface that "
-        f"the four pixels around it show, after allowing for that surface's slope (at most "
-        f"{visibility.VISIBILITY_TOLERANCES.slope_m} m); where "
-        "they disagree, when a vehicle's own shape stands before it on its own ray, or its own pixel shows something "
-        "else.",
+        f"the four pixels around it show, after an allowance for the slope of that surface (at most "
+        f"{visibility.VISIBILITY_TOLERANCES.slope_m} m). If "
+        "the pixels disagree, it is hidden if a road user's shape is in front of it on its own ray, if its own "
+        "pixel shows scenery in front of it, or if all four pixels show something in front, at least one scenery.",
         f"A vehicle is {by_rule} (tolerance {visibility.VISIBILITY_TOLERANCES.vehicle_m} m).",
         "A vehicle without a visible pixel has no annotation.",
-        f"Ignored (iscrowd = 1): sliver, less than {rules.min_visible:.0%} of its silhouette unhidden and inside the "
-        f"image; small, shorter edge of its box under {rules.min_box:g} px or fewer than "
-        f"{LABEL_LIMITS.pixels} visible pixels; unseen, contrast under {LABEL_LIMITS.contrast:g}.",
-        f"Keypoints are localised by {rules.localizer}; wheel centres are the wheels' own.",
+        f"Ignored (iscrowd = 1): sliver, less than {rules.min_visible:.0%} of its silhouette is visible inside the "
+        f"image; small, the shorter edge of its box is under {rules.min_box:g} px or it has fewer than "
+        f"{LABEL_LIMITS.pixels} visible pixels; unseen, its contrast is under {LABEL_LIMITS.contrast:g}.",
+        f"Keypoints are localised by {rules.localizer}; wheel centres are those of the simulated wheels.",
     ]
 
 
 def road_user_rules() -> list[str]:
-    """The rules behind the labels of people on foot and on two wheels, in words."""
+    """Return the rules of the labels of pedestrians and two-wheelers in words."""
     return [
         "Bicycles, motorcycles (each with its rider, passengers and load) and pedestrians are categories of their own, "
         "without keypoints: v = 0 in all 33.",
-        "They are ignored by the same rules; as they have no keypoints, they are occluded when something else hides "
-        "more than half of the pixels that their silhouette has inside the image.",
+        "The same rules decide which of them are ignored. Without keypoints, they are occluded if other objects hide "
+        "more than half of the pixels of their silhouette inside the image.",
     ]
 
 
 def write_card(root: Path, content: Mapping[str, Any]) -> None:
-    """Write the card of the dataset at `root`, whose manifest is there; dataset.json makes it one and comes last."""
+    """Write the card of the dataset at `root` after its manifest; dataset.json comes last and completes the dataset."""
     sums = read_manifest(root)["sha256"]
     write_text(root / "README.md", readme(content))
     write_json(root / CROISSANT_FILE, croissant(content, sums))
@@ -153,5 +153,5 @@ def write_card(root: Path, content: Mapping[str, Any]) -> None:
 
 
 def readme(content: Mapping[str, Any]) -> str:
-    """The card as a page."""
+    """Return the card as the text of README.md."""
     return card_text.markdown(content)

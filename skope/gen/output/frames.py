@@ -19,18 +19,18 @@ from skope.gen.scene.recording import Recording
 from skope.schema import Annotation, Image, RoadUser
 
 SUFFIX_OF_FORMAT: Final = {"jpeg": ".jpg", "png": ".png", "webp": ".webp"}
-"""Suffixes of images by `--image-format`."""
+"""File suffix of images for each `--image-format`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Encoding:
-    """Format and quality of written pictures."""
+    """Format and quality of written images."""
 
     image: str = "jpeg"
     quality: int = 95
     """Quality of JPEG and WebP, 1 to 100."""
     depth: bool = True
-    """Whether depth files are written."""
+    """Whether to write depth files."""
 
     def __post_init__(self) -> None:
         one_of("--image-format", self.image, tuple(SUFFIX_OF_FORMAT))
@@ -38,7 +38,7 @@ class Encoding:
             raise UserError(f"--quality: expected a whole number from 1 to 100, got {self.quality}")
 
     def encoded(self, rgb: NDArray[np.uint8]) -> bytes:
-        """An image file's content."""
+        """Return the content of an image file."""
         options = {
             "jpeg": [cv2.IMWRITE_JPEG_QUALITY, self.quality],
             "png": [cv2.IMWRITE_PNG_COMPRESSION, 3],
@@ -55,9 +55,9 @@ def frames_of(
     """Render, annotate and encode frames of a recording.
 
     Args:
-        recording: What is rendered.
-        renderer: As `make_renderer` makes it for the recording.
-        rules: What is ground truth, what is ignored.
+        recording: Recording to render.
+        renderer: Renderer of the recording, from `make_renderer`.
+        rules: Rules for ground truth and ignored road users.
         encoding: Format of images, and whether there are depth files.
         frames: Numbers of the frames.
 
@@ -81,16 +81,16 @@ def files_of(
     encoding: Encoding,
     road_users: Sequence[RoadUser] = (),
 ) -> FrameFiles:
-    """Encode a rendered frame; ids are given by the writer.
+    """Encode a rendered frame; the writer assigns the ids.
 
     Args:
         recording: The recording.
         frame: Number of the frame in it, from 0.
         view: The rendered frame.
-        annotations: The vehicles' labels, as `annotate` gives them.
-        tally: How many vehicles each rule applies to.
+        annotations: Labels of the vehicles, from `annotate`.
+        tally: Number of vehicles that each rule applies to.
         encoding: Formats of the files.
-        road_users: Labels of people on foot and on two wheels.
+        road_users: Labels of pedestrians and two-wheelers.
     """
     name = recording.info.frame_name(frame)
     files = {f"images/{name}{SUFFIX_OF_FORMAT[encoding.image]}": encoding.encoded(view.rgb)}
@@ -109,7 +109,7 @@ def files_of(
 
 
 def image_of(recording: Recording, frame: int, file_name: str, image_id: int = 0) -> Image:
-    """The image record of a recording's frame, as annotation files have it.
+    """Return the image record of a recording's frame for annotation files.
 
     Args:
         recording: The recording.

@@ -1,8 +1,9 @@
-"""Licences of datasets: their names and addresses, and which one holds for a dataset made of several.
+"""Licences of datasets: their names and addresses, and the licence of a dataset made of several.
 
-Creative Commons' own rules for what may be built from what: share-alike material may only go into something under its
-own licence, which NonCommercial beside plain share-alike is not, and material under NoDerivatives goes into nothing
-else. Other words are not judged: they stand side by side, unless one of the licences demands to hold for all.
+The rules for combinations are those of Creative Commons. Share-alike material can only be used under its own licence;
+NonCommercial terms are therefore incompatible with plain share-alike. Material under NoDerivatives can only be combined
+with material under the same terms. Other texts are not judged: they are listed side by side, unless one of the licences
+must apply to everything.
 """
 
 import itertools
@@ -36,19 +37,18 @@ CC_ADDRESS = re.compile(
 CC_WORDS = {"noncommercial": "NC", "sharealike": "SA", "noderiv": "ND"}
 NOT_STATED: Final = "not stated"
 LICENCE_SEPARATOR: Final = " | "
-"""Stands between licences of which each holds for a part of a dataset."""
+"""Separator between licences that each apply to a part of a dataset."""
 LONG_LICENCE = 200
-"""Letters from which a licence is named by its first line."""
+"""Number of characters above which a licence is named by its first line."""
 
 Terms = frozenset[str]
 
 
 def named(text: str) -> str:
-    """A licence as a card states it: one of `LICENCE_ADDRESSES` however its name is written, or any other line of
-    text."""
+    """Return a licence as a card states it: one of `LICENCE_ADDRESSES` in any spelling, or another line of text."""
     text = " ".join(text.split())
     if not text:
-        raise UserError(f"--licence: expected a licence's name, such as {DEFAULT_LICENCE!r}")
+        raise UserError(f"--licence: expected the name of a licence, such as {DEFAULT_LICENCE!r}")
     known = {_bare(name): name for name in LICENCE_ADDRESSES}
     return known.get(_bare(text), text)
 
@@ -58,7 +58,7 @@ def _bare(name: str) -> str:
 
 
 def in_text(text: str) -> str:
-    """The licence that a file like LICENCE.txt states, on one line: of a long text the first line that is not empty."""
+    """Return the licence in a file like LICENCE.txt as one line; for a long text, its first non-empty line."""
     lines = [" ".join(line.split()) for line in text.removeprefix("\ufeff").splitlines()]
     words = [line for line in lines if line]
     whole = " ".join(words)
@@ -68,9 +68,9 @@ def in_text(text: str) -> str:
 
 
 def in_coco(document: Mapping[str, Any]) -> list[str]:
-    """The licences that a COCO file states: of `licenses` those that its images name, and what `info` says.
+    """Return the licences in a COCO file: those of `licenses` that its images name, and the one in `info`.
 
-    Where an image names none of them, all of them count.
+    If an image names none of them, all of them apply.
     """
     records = {r.get("id"): r for r in _list(document.get("licenses")) if isinstance(r, Mapping)}
     named = [i.get("license") for i in _list(document.get("images")) if isinstance(i, Mapping)]
@@ -88,7 +88,7 @@ def _list(value: object) -> list[Any]:
 
 
 def _in_record(record: Mapping[str, Any]) -> str:
-    """The name of a licence in a record with `name` and `url`; empty where it says nothing."""
+    """Return the name of the licence in a record with `name` and `url`; empty if there is none."""
     name, url = (" ".join(str(record.get(key) or "").split())[:LONG_LICENCE] for key in ("name", "url"))
     address = CC_ADDRESS.search(url) or CC_ADDRESS.search(name)
     code = ""
@@ -105,7 +105,7 @@ def _in_record(record: Mapping[str, Any]) -> str:
 
 
 def joint_licence(licences: Iterable[str]) -> str:
-    """The licences of a dataset's parts side by side, each once."""
+    """Return the different licences of a dataset's parts, side by side."""
     parts = dict.fromkeys(part for licence in licences for part in licence.split(LICENCE_SEPARATOR))
     if len(parts) > 1:
         parts.pop(NOT_STATED, None)
@@ -113,9 +113,9 @@ def joint_licence(licences: Iterable[str]) -> str:
 
 
 def licence_terms(licence: str) -> Terms | None:
-    """The conditions (BY, NC, SA, ND) of a Creative Commons licence; None for any other text.
+    """Return the conditions (BY, NC, SA, ND) of a Creative Commons licence; None for any other text.
 
-    The licence must stand at the beginning: "what is drawn is CC0, the photograph ..." is not CC0.
+    The licence must be at the start: "what is drawn is CC0, the photograph ..." is not CC0.
     """
     match = CC_CODE.match(licence)
     if match is None:
@@ -124,7 +124,7 @@ def licence_terms(licence: str) -> Terms | None:
 
 
 def united(licences: Sequence[str]) -> str:
-    """The licence of a dataset made of parts under `licences`; a UserError says which two exclude each other."""
+    """Return the licence of a dataset with parts under `licences`; a UserError names an incompatible pair."""
     different = list(dict.fromkeys(licences))
     parts = {licence: licence.split(LICENCE_SEPARATOR) for licence in different}
     known = {part: licence_terms(part) for own in parts.values() for part in own}
@@ -132,10 +132,10 @@ def united(licences: Sequence[str]) -> str:
     for licence, other in pairs:
         terms, others = known[licence], known[other]
         alone = terms is not None and "ND" in terms and others != terms
-        # What is shared alike ends under its own licence, so that nothing else may ask for more.
+        # Share-alike material stays under its own licence, so the other part must not add conditions.
         alike = terms is not None and "SA" in terms and (others is None or not others <= terms)
         if alone or alike:
-            raise UserError(f"licence: {licence!r} does not allow to be joined with {other!r}")
+            raise UserError(f"licence: {licence!r} cannot be combined with {other!r}")
     if len(different) == 1 or None in known.values():
         return LICENCE_SEPARATOR.join(known)
     everything = frozenset[str]().union(*(terms for terms in known.values() if terms is not None))
@@ -143,7 +143,7 @@ def united(licences: Sequence[str]) -> str:
 
 
 def _name_of(terms: Terms, as_stated: Sequence[str]) -> str:
-    """The words of the part that has just these terms, or the licence's name."""
+    """Return the text of the part that has exactly these terms, or the name of such a licence."""
     if as_stated:
         return as_stated[0]
     return "-".join(["CC BY", *(word for word in CC_TERMS if word in terms)]) + " 4.0"

@@ -1,4 +1,4 @@
-"""Ingredients of a dataset, as its card keeps them: the parameters that decide every byte, and its recordings."""
+"""Parameters that determine every byte of a dataset, and its recordings, as the dataset card stores them."""
 
 import re
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ from skope.types import Range
 
 @dataclass(frozen=True, kw_only=True)
 class OwnSiteRecord:
-    """Record of a user's own site on the card: enough to tell it from another one, and no path of the user's disk."""
+    """Record of a user's own site on the card: enough to identify it, without paths of the user's disk."""
 
     file: str
     """Name of the site file."""
@@ -37,76 +37,75 @@ class OwnSiteRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class Parameters:
-    """Everything that decides a dataset's content; read and written by itself, saved in the dataset's card."""
+    """Everything that determines a dataset's content; stored in the dataset's card."""
 
     preset: str
     seed: int
     sites: tuple[str, ...]
     frames: Mapping[str, int]
-    """Frames per site, by the sites' split."""
+    """Frames per site, by the split of the sites."""
     recordings: int = 1
-    """Recordings per site, which share its frames."""
+    """Number of recordings per site; the site's frames are divided among them."""
     interval_s: float
     size: str
     """Width and height of the images, as in "1280x720"."""
     fov_deg: float
     renderer: str
-    """Empty while recordings are made that another machine renders; `driver` likewise."""
+    """Renderer; empty, like `driver`, while the recordings are made for rendering on another machine."""
     driver: str
-    """Means by which the renderer draws, as `choose_renderer` names it; pixels are the same on the same driver only."""
+    """Driver of the renderer, as `choose_renderer` names it; only equal drivers give equal pixels."""
     rules: Rules
     variation: Variation = field(default_factory=Variation)
-    """Things that are drawn for each recording, and their ranges; the card names its fields among these."""
+    """Quantities drawn for each recording, and their ranges; the card lists its fields among the parameters."""
     keypoint_edition: int = keypoints.EDITION
-    """Edition of the definition of the keypoints."""
+    """Edition of the keypoint definition."""
     vehicles: Mapping[str, str] = field(default_factory=dict)
-    """Models that were asked for: name to SHA-256 of the files of a model of the user (`skope gen vehicles add`), to
-    nothing for a model of the fleet."""
+    """Requested models by name: SHA-256 of the files of a user's model, empty for a model of the fleet."""
     vehicle_share: float | None = None
-    """Share of the traffic that `vehicles` make together; None for a tenth of the fleet's number each."""
+    """Combined traffic share of all `vehicles`, 0 to 1; None for one vehicle of each model per ten of the fleet."""
     weather: tuple[str, ...] = ()
-    """Weathers that recordings may have; empty for those of the sites and of `presets.toml`."""
+    """Permitted weathers of recordings; empty for those of the sites and of `presets.toml`."""
     time_of_day: tuple[str, ...] = ()
-    """Hours that recordings may have; empty likewise."""
+    """Permitted hours of recordings; empty for those of the sites and of `presets.toml`."""
     traffic: Range | None = None
-    """Range of a recording's traffic, times its site's; None for what `presets.toml` says of the split."""
+    """Range of the factor on the traffic of a recording's site; None for the range in `presets.toml`."""
     own: OwnSiteRecord | None = None
-    """A user's own site (`--site`), in place of those of the package."""
+    """User's own site (`--site`), which replaces those of the package."""
     encoding: Encoding = field(default_factory=Encoding)
     format: str = "folder"
-    """Form in which the dataset is stored, one of `skope.gen.output.writers.DATASET_FORMATS`."""
+    """Storage format of the dataset, one of `skope.gen.output.writers.DATASET_FORMATS`."""
     licence: str = licences.DEFAULT_LICENCE
     """Licence of the images, as the card states it."""
     versions: Mapping[str, str] = field(default_factory=versions)
-    """Versions of skope and of the libraries that decide bytes."""
+    """Versions of skope and of the libraries that determine the bytes."""
 
     @property
     def categories(self) -> tuple[str, ...]:
-        """Names of the categories that the labels have."""
+        """Names of the labelled categories."""
         return CATEGORY_NAMES if self.variation.road_users else VEHICLE_ALONE
 
     def pixels(self) -> tuple[int, int]:
-        """Width and height of the images; a UserError where `size` says none of 16 to 8192 pixels."""
+        """Return width and height of the images; raise a UserError if `size` is not of 16 to 8192 pixels."""
         match = re.fullmatch(r"(\d+)x(\d+)", self.size)
         if not match or not all(16 <= int(n) <= 8192 for n in match.groups()):
             raise UserError(f"--size: expected WIDTHxHEIGHT of 16 to 8192 pixels, got {self.size!r}")
         return int(match[1]), int(match[2])
 
     def to_dict(self) -> dict[str, Any]:
-        """The parameters as JSON values, with the fields of `variation` among them."""
+        """Return the parameters as JSON values, with the fields of `variation` among them."""
         values = plain_values(self)
         return {**values.pop("variation"), **values}
 
     @classmethod
     def from_dict(cls, values: Any, where: str = "parameters") -> Self:
-        """The parameters of `to_dict`.
+        """Return the parameters from the result of `to_dict`.
 
         Args:
             values: The JSON values.
-            where: The object, as messages name it, for example "card.json: parameters".
+            where: Name of the object in messages, for example "card.json: parameters".
 
         Raises:
-            UserError: A field is missing, unknown or of another type. The message names it.
+            UserError: A field is missing, unknown or of the wrong type. The message names it.
         """
         if not isinstance(values, Mapping):
             raise UserError(f"{where}: expected an object, got {shown(values)}")
@@ -122,20 +121,21 @@ class Parameters:
 
 @dataclass(frozen=True)
 class DatasetPlan:
-    """Plan of a dataset folder: what it holds or is to become."""
+    """Plan of a dataset folder: its present or intended content."""
 
     parameters: Parameters
     recordings: tuple[RecordingInfo, ...]
-    """In the order in which ids of images count."""
+    """Recordings in the order of their image ids."""
 
     def to_dict(self) -> dict[str, Any]:
-        """The plan as JSON values: "parameters", and "takes" with site, name, split and frames of each recording."""
+        """Return the plan as JSON values: "parameters", and "takes" with site, name, split and frames per recording."""
         takes = [[info.site, info.name, info.split, info.frames] for info in self.recordings]
         return {"parameters": self.parameters.to_dict(), "takes": takes}
 
     @classmethod
     def from_dict(cls, values: Any, path: Path) -> Self:
-        """The plan of `to_dict`, or of a card; a UserError names the file at `path` and the field that is wrong."""
+        """Return the plan from the result of `to_dict` or a card; a UserError names the `path` and the invalid
+        field."""
         if not isinstance(values, dict):
             raise UserError(f"{path}: expected an object with parameters and takes")
         parameters = Parameters.from_dict(values.get("parameters"), f"{path}: parameters")

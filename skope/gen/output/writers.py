@@ -1,5 +1,7 @@
-"""Write a dataset's frames: one annotation file a split beside the images, or tar shards; and read them back. Counts of
-images and vehicles for its card."""
+"""Write a dataset's frames and read them back: one annotation file per split beside the images, or tar shards.
+
+Also counts images and vehicles for the card.
+"""
 
 import hashlib
 import math
@@ -24,18 +26,18 @@ from skope.keypoints import SKOPE33, Scheme
 from skope.schema import CATEGORY_ID, CATEGORY_NAMES, ROAD_USER_IDS, VEHICLE_ALONE, Annotation, RoadUser
 
 CountKind = tuple[str, str | None, str]
-"""Kind under which a label is counted: "ground_truth" or "ignored", a vehicle's type, and the category."""
+"""Key under which a label is counted: "ground_truth" or "ignored", the vehicle type, and the category."""
 
 
 def count_kind(iscrowd: int, vehicle_type: str | None, category: str = "vehicle") -> CountKind:
-    """The kind of a vehicle, by two fields of its annotation, or of another road user, by its category."""
+    """Return the count key of a vehicle (from two annotation fields) or another road user (from its category)."""
     return "ignored" if iscrowd else "ground_truth", vehicle_type, category
 
 
 class Counts:
     """Counts for the card: images, ground truth and ignored vehicles by split, site, weather, type and reason.
 
-    People on foot and on two wheels are counted apart, by category.
+    Pedestrians and two-wheelers are counted separately, by category.
     """
 
     def __init__(self) -> None:
@@ -49,9 +51,9 @@ class Counts:
         self.most_apart_m = 0.0
 
     def add(self, places: Mapping[str, str | None], kinds: Iterable[CountKind], tally: Mapping[str, Any]) -> None:
-        """Count an image with its labels; `places` name its split, site and weather.
+        """Count an image with its labels; `places` contains its split, site and weather.
 
-        What is not known of an image or a vehicle is not counted.
+        Unknown properties of an image or a vehicle are not counted.
         """
         known = [(group, name) for group, name in places.items() if name is not None]
         for group, name in known:
@@ -69,11 +71,11 @@ class Counts:
         self.tally.update(tally)
 
     def localizer_difference(self) -> dict[str, float | None]:
-        """Difference between trilateration and the rigid transform, over all keypoints of vehicles in view, metres."""
+        """Return mean and maximum distance between trilateration and rigid transform over all keypoints, metres."""
         vehicles = self.tally["vehicles"]
         if not vehicles:
             return {"mean": None, "max": None}
-        # The exact sum is the same in whatever order it was added up.
+        # The exact sum does not depend on the order of its terms.
         return {"mean": round(math.fsum(self.apart_m) / vehicles, 6), "max": round(self.most_apart_m, 6)}
 
     def to_dict(self) -> dict[str, Any]:
@@ -94,41 +96,41 @@ class Counts:
 
 DATASET_FORMATS: Final = ("folder", "shards")
 _IN_MEMORY: Final = 1 << 26
-"""Bytes of rows that are kept there."""
+"""Maximum size of the label rows of a split in memory, bytes; larger ones are in a temporary file."""
 
 
 @dataclass(frozen=True)
 class Labels:
-    """A frame's rows of the annotation file, and what the manifest says of it."""
+    """A frame's rows of the annotation file, and its entries in the manifest."""
 
     name: str
-    """<site>/<recording>_<frame>."""
+    """Name of the frame: <site>/<recording>_<frame>."""
     image: Mapping[str, Any]
-    """Its files are named as a dataset folder names them: images/<name>.jpg, depth/<name>.png."""
+    """Image record; its files have the names in a dataset folder: images/<name>.jpg, depth/<name>.png."""
     rows: list[bytes]
-    """Annotations of the frame, a JSON object each; `id` and `image_id` come first."""
+    """Annotations of the frame, one JSON object each; `id` and `image_id` come first."""
     kinds: list[CountKind]
     """Kind of each annotation."""
     sha256: Mapping[str, str]
-    """Checksums of the frame's files, by their names."""
+    """Checksums of the frame's files by name."""
     tally: Any
-    """Effects of the rules on the frame's vehicles, for the card's counts."""
+    """Effects of the rules on the frame's vehicles, for the counts on the card."""
 
 
 @dataclass(frozen=True)
 class FrameFiles:
-    """A frame that is to be written: the content of its files by name, and its labels."""
+    """A frame to write: the content of its files by name, and its labels."""
 
     files: Mapping[str, Path | bytes]
-    """A path is that of a file, or of a shard's member, that holds the content."""
+    """Content of the files: bytes, or the path of a file or shard member with the content."""
     labels: Labels
 
 
 class DatasetWriter(ABC):
-    """Writes frames into the dataset folder at `root`, recording by recording, and then the manifest.
+    """Writer of frames to the dataset folder at `root`, recording by recording, and then of the manifest.
 
-    Ids of images and annotations count through the whole dataset from 1, in the order in which frames are added.
-    `categories` are the names of those that its makers labelled.
+    Ids of images and annotations count from 1 through the whole dataset, in the order in which frames are added.
+    `categories` are the names of the labelled categories.
     """
 
     def __init__(self, root: Path, scheme: Scheme = SKOPE33, categories: tuple[str, ...] = VEHICLE_ALONE) -> None:
@@ -138,15 +140,15 @@ class DatasetWriter(ABC):
         self._tallies: dict[str, Any] = {}
 
     def add_file(self, path: Path) -> None:
-        """Name a file of the dataset, by its path in it, in the manifest."""
+        """Add a file of the dataset to the manifest, by its path in the dataset."""
         self._sums[str(path)] = sha256_of(self.root / path)
 
     @abstractmethod
     def add(self, split: str, frames: Iterable[FrameFiles]) -> None:
-        """Write frames of a recording; files that lie at their place in the folder already are not copied."""
+        """Write the frames of a recording; files that are already at their place in the folder are not copied."""
 
     def finish(self) -> Counts:
-        """Write what is left, the manifest last; returns the counts of images and vehicles."""
+        """Write the remaining content, with the manifest last; return the counts of images and vehicles."""
         content = {"sha256": dict(sorted(self._sums.items())), "tallies": self._tallies}
         write_bytes(
             self.root / MANIFEST_FILE, orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
@@ -154,7 +156,7 @@ class DatasetWriter(ABC):
         return self._counts
 
     def _numbered(self, split: str, labels: Labels) -> Labels:
-        """The labels under the next ids; they are counted."""
+        """Count the labels and return them with the next ids."""
         counts = self._counts
         places = {"split": split, "site": labels.image.get("site"), "weather": labels.image.get("weather")}
         counts.add(places, labels.kinds, labels.tally)
@@ -165,13 +167,13 @@ class DatasetWriter(ABC):
 
 
 class FolderWriter(DatasetWriter):
-    """Writes annotation files; images and depth lie beside them."""
+    """Writer of annotation files beside loose images and depth files."""
 
     def __init__(self, root: Path, scheme: Scheme = SKOPE33, categories: tuple[str, ...] = VEHICLE_ALONE) -> None:
         super().__init__(root, scheme, categories)
         self._open = ExitStack()
         self._splits: dict[str, tuple[list[bytes], IO[bytes]]] = {}
-        """Rows of images in memory, and those of labels, a line each, in a temporary file when they are many."""
+        """Rows of images (in memory) and of labels (one per line, in a temporary file if there are many), by split."""
 
     def add(self, split: str, frames: Iterable[FrameFiles]) -> None:
         if split not in self._splits:
@@ -200,7 +202,7 @@ class FolderWriter(DatasetWriter):
 
 
 class ShardWriter(DatasetWriter):
-    """Writes a tar shard for each recording; loose files of the folder that are in it are removed."""
+    """Writer of one tar shard per recording; it removes the folder's loose files that are in the shard."""
 
     def __init__(self, root: Path, scheme: Scheme = SKOPE33, categories: tuple[str, ...] = VEHICLE_ALONE) -> None:
         super().__init__(root, scheme, categories)
@@ -213,7 +215,7 @@ class ShardWriter(DatasetWriter):
         shard, loose = self.root / path, list[Path]()
         members = self._members(path, split, frames, loose)
         if shard.with_suffix(".json").is_file():
-            # Its index came last: it is whole, and its files may be gone.
+            # The index is written last: the shard is complete, and its loose files may be gone.
             for _ in members:
                 pass
         else:
@@ -249,24 +251,24 @@ class ShardWriter(DatasetWriter):
 def writer_of(
     form: str, root: Path, scheme: Scheme = SKOPE33, categories: tuple[str, ...] = VEHICLE_ALONE
 ) -> DatasetWriter:
-    """The writer of a format.
+    """Return the writer of a format.
 
     Args:
         form: One of `DATASET_FORMATS`.
-        root: The dataset's folder.
-        scheme: What the keypoints are.
-        categories: Names of what is labelled.
+        root: Folder of the dataset.
+        scheme: Keypoint scheme of the labels.
+        categories: Names of the labelled categories.
     """
     return (ShardWriter if form == "shards" else FolderWriter)(root, scheme, categories)
 
 
 def categories_field(categories: tuple[str, ...]) -> dict[str, Any]:
-    """The field of a card that names its labels' categories; none where vehicles are the only one."""
+    """Return the card's field with the labelled categories; empty if vehicles are the only category."""
     return {"categories": list(categories)} if categories != VEHICLE_ALONE else {}
 
 
 def label_fields(vehicles: Iterable[Annotation], road_users: Iterable[RoadUser]) -> dict[str, Any]:
-    """The fields of `Labels` that hold a frame's vehicles and, after them, its other road users."""
+    """Return the fields of `Labels` for a frame's vehicles, followed by its other road users."""
     own, others = list(vehicles), list(road_users)
     rows = [*map(coco.annotation_to_dict, own), *map(coco.road_user_to_dict, others)]
     kinds = [count_kind(vehicle.iscrowd, vehicle.vehicle_type) for vehicle in own]
@@ -275,14 +277,14 @@ def label_fields(vehicles: Iterable[Annotation], road_users: Iterable[RoadUser])
 
 
 def checksum(data: bytes) -> str:
-    """SHA-256 in hexadecimal."""
+    """Return the SHA-256 checksum in hexadecimal."""
     return hashlib.sha256(data).hexdigest()
 
 
 def unpack_shards(root: Path) -> None:
-    """Turn the images and depth of all whole shards back into loose files, and remove the shards.
+    """Extract the images and depth files of all complete shards to loose files, and remove the shards.
 
-    A shard without its index was not finished: its frames are still loose files.
+    A shard without its index is incomplete: its frames are still loose files.
     """
     for shard in sorted((root / shards.SHARD_FOLDER).glob("*.tar")):
         for name in shards.members_of(shard):
@@ -308,14 +310,14 @@ def place_file(content: Path | bytes, target: Path) -> None:
 
 
 def _with_ids(row: bytes, id_: int, image_id: int) -> bytes:
-    """A row of `Labels` under other ids."""
+    """Return a row of `Labels` with other ids."""
     assert row.startswith(b'{"id":')
     _, _, rest = row.split(b",", 2)
     return b'{"id":%d,"image_id":%d,%b' % (id_, image_id, rest)
 
 
 def frames_of_split(dataset: Dataset, split: str) -> Iterator[FrameFiles]:
-    """The frames of a split, of a dataset that `skope gen` made; a UserError names what is missing."""
+    """Yield the frames of a split of a dataset from `skope gen`; a UserError names missing data."""
     manifest = read_manifest(dataset.root)
     for row, annotations in rows_of(dataset, split):
         lost = [key for key in ("site", "recording", "frame_index") if row.get(key) is None]
@@ -333,8 +335,8 @@ def frames_of_split(dataset: Dataset, split: str) -> Iterator[FrameFiles]:
                     image[key] = f"{folder}/{name}{Path(there).suffix}"
                     files[image[key]], sums[image[key]] = dataset.root / there, manifest["sha256"][there]
         except KeyError as error:
-            raise UserError(f"{dataset.root / MANIFEST_FILE}: names no {error}") from None
-        # Other tools may have rewritten the file: ids are put first, as `_with_ids` needs them.
+            raise UserError(f"{dataset.root / MANIFEST_FILE}: has no entry for {error}") from None
+        # Other tools may have rewritten the file, so the ids are put first, as `_with_ids` requires.
         rows = [json_bytes({"id": row["id"], "image_id": row["image_id"], **row}) for row in annotations]
         kinds = [_kind_of_row(row, dataset.categories) for row in annotations]
         yield FrameFiles(files, Labels(name, image, rows, kinds, sums, tally))
@@ -349,7 +351,7 @@ def _kind_of_row(row: Mapping[str, Any], categories: tuple[str, ...]) -> CountKi
 
 
 def rows_of(dataset: Dataset, split: str) -> Iterator[tuple[dict[str, Any], list[Any]]]:
-    """JSON records of a split's images, each with those of its annotations; a UserError names a wrong image."""
+    """Yield JSON records of a split's images, each with its annotations; a UserError names an invalid image."""
     if dataset.sharded:
         for shard in shards.shards_of(dataset.root, split):
             for labels in shards.labels_in(shard):

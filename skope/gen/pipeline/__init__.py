@@ -1,1 +1,1 @@
-"""From presets and parameters to a finished dataset: plans, workers, the folder under construction, footage."""
+"""Dataset generation from presets and parameters: plans, workers, the dataset under construction, and footage."""

@@ -1,5 +1,7 @@
-"""Presets (`presets.toml`), what a user asks for, and the plans of its recordings: split, weather, hour and traffic of
-each."""
+"""Presets (`presets.toml`), the requested dataset, and the plans of its recordings.
+
+A plan gives the split, weather, hour and traffic of a recording.
+"""
 
 import math
 import tomllib
@@ -31,36 +33,39 @@ from skope.types import Range
 
 @cache
 def preset_tables() -> Mapping[str, Any]:
-    """Everything that `presets.toml` says."""
+    """Return the content of `presets.toml`."""
     return tomllib.loads(resources.files("skope.gen.pipeline").joinpath("presets.toml").read_text(encoding="utf-8"))
 
 
 def presets() -> Mapping[str, Mapping[str, Any]]:
-    """The presets by name."""
+    """Return the presets by name."""
     presets: Mapping[str, Mapping[str, Any]] = preset_tables()["presets"]
     return presets
 
 
 def range_pairs(table: Mapping[str, Sequence[float]]) -> dict[str, Range]:
-    """Ranges of a table, in which each is a list of two numbers."""
+    """Convert the two-number lists of a table to ranges."""
     return {name: (low, high) for name, (low, high) in table.items()}
 
 
 _OF_HOUR: Final = ("sun_elevation_deg", "sun_azimuth_deg")
 _OF_WEATHER: Final = ("clouds", "visibility_m")
-"""Conditions that follow from weather and hour: a site's own values hold for its first recording only."""
+"""Conditions that follow from the weather; a site's own values apply only while its own weather is used."""
 LIGHT_TURNS: Final = 30
-"""Turns that a site may begin with among lights."""
+"""Number of possible starting positions of a site in a cycle of lights."""
 
 
 def in_its_light(
     own: Site, index: int, seed: int, traffic: Range | None = None, lights: Sequence[str] | None = None
 ) -> Site:
-    """A site with the weather, hour and traffic of its recording `index`.
+    """Return a site with the weather, hour and traffic of its recording `index`.
 
-    Recording 0 has the site's own. Later ones follow the table of the site's split in `presets.toml`: lights in turn,
-    and a share of the site's vehicles an hour that `seed` draws. `traffic` replaces what the table says, `lights` too:
-    each site begins with another one of these, which `seed` draws, so that few recordings show all of them.
+    Recording 0 uses the site's own. Later recordings cycle through the lights in the table of the site's split in
+    `presets.toml`. Their traffic is the site's vehicles per hour times a factor from the table's range, drawn with
+    `seed`. `traffic` replaces the range of the table.
+
+    `lights` replaces the lights of the table. Each site then starts with another light, drawn with `seed`, so that few
+    recordings show all of them.
     """
     splits = preset_tables()["splits"]
     split = splits.get(own.split, splits["train"])
@@ -71,16 +76,16 @@ def in_its_light(
         return _under_light(busy, lights[(index + _first_light(own, seed, 0)) % len(lights)])
     lights = split["light"]
     if own.road:
-        # The site file decides the first recording's light: the others are at other hours.
+        # The site file determines the light of the first recording, so the others use other hours.
         lights = [light for light in lights if light.split()[1] != own.time_of_day]
     return _under_light(busy, lights[(index - 1) % len(lights)])
 
 
 def in_its_split(own: Site, index: int, seed: int, splits: Sequence[str]) -> Site:
-    """A site in the split of its recording `index`, with light and traffic of that condition in `presets.toml`.
+    """Return a site in the split of its recording `index`, with the light and traffic of that split in `presets.toml`.
 
-    The splits take turns from recording to recording; the lights of each take turns from site to site, begun with one
-    that `seed` draws.
+    The recordings cycle through the splits. Each time a split returns, its next light is used; the first one is drawn
+    with `seed`.
     """
     turn, place = divmod(index, len(splits))
     table = preset_tables()["conditions"][splits[place]]
@@ -91,17 +96,17 @@ def in_its_split(own: Site, index: int, seed: int, splits: Sequence[str]) -> Sit
 
 
 def in_asked_light(planned: Site, index: int, seed: int, weathers: Sequence[str], times_of_day: Sequence[str]) -> Site:
-    """A site in the light of its recording `index`, where its weather or hour is not among those that are asked for.
+    """Return a site in the light of its recording `index`, with requested weathers and hours only.
 
-    One that is asked for takes the place of one that is not: in turns from recording to recording, begun with one that
-    `seed` draws for each site. Without names, each is as planned.
+    A weather or hour that was not requested is replaced by a requested one. The recordings cycle through the requested
+    values, with a start drawn with `seed` for each site. An empty list leaves the planned value.
     """
     turn = index + _first_light(planned, seed, 0)
     weather, time_of_day = planned.weather, planned.time_of_day
     if weathers and weather not in weathers:
         weather = weathers[turn % len(weathers)]
     if times_of_day and time_of_day not in times_of_day:
-        # Weathers take their turns faster, so that each comes at each hour.
+        # Weathers change faster than hours, so that all combinations occur.
         time_of_day = times_of_day[turn // max(len(weathers), 1) % len(times_of_day)]
     other_weather = _OF_WEATHER if weather != planned.weather else ()
     other_hour = _OF_HOUR if time_of_day != planned.time_of_day else ()
@@ -110,14 +115,14 @@ def in_asked_light(planned: Site, index: int, seed: int, weathers: Sequence[str]
 
 
 def varied(planned: Site) -> Site:
-    """A site whose conditions vary as widely as `presets.toml` says of its weather and hour."""
+    """Return a site with the wide ranges of conditions that `presets.toml` has for its weather and hour."""
     table: Mapping[str, Any] = preset_tables()["varied_light"]
     wide = {**table.get(planned.time_of_day, {}), **table.get(planned.weather, {})}
     return replace(planned, conditions={**range_pairs(wide), **planned.conditions})
 
 
 def _first_light(own: Site, seed: int, place: int) -> int:
-    """The one of the lights that a site begins with; `place` tells apart those that begin on their own."""
+    """Return the position in a cycle of lights at which a site starts; each `place` has its own draw."""
     return int(rng(seed, own.name, place, Stream.ASKED_LIGHT).integers(LIGHT_TURNS))
 
 
@@ -127,7 +132,7 @@ def _with_traffic(own: Site, index: int, seed: int, traffic: Range) -> Site:
 
 
 def _under_light(own: Site, light: str) -> Site:
-    """A site in a light such as "clear noon"."""
+    """Return a site in a light such as "clear noon"."""
     weather, time_of_day = light.split()
     fixed = _without(own.conditions, _OF_WEATHER + _OF_HOUR)
     return replace(own, weather=weather, time_of_day=time_of_day, conditions=fixed)
@@ -138,14 +143,14 @@ def _without(conditions: Mapping[str, Range], names: Sequence[str]) -> dict[str,
 
 
 HEAVY_TYPES: Final = frozenset(("bus", "truck", "box_truck", "articulated_truck", "articulated_bus"))
-"""Types of vehicles that a split may have a share of (`heavy` in `presets.toml`)."""
+"""Vehicle types that count as heavy (`heavy` in `presets.toml`)."""
 
 
 @dataclass(frozen=True)
 class DatasetRequest:
-    """A dataset that is asked for: its parameters, and the user's own site, of which parameters hold digests only.
+    """A requested dataset: its parameters, and the user's own site (the parameters hold only its digests).
 
-    Raises a UserError that names the flag where a parameter is out of range.
+    Raises a UserError that names the flag if a parameter is out of range.
     """
 
     parameters: Parameters
@@ -189,24 +194,24 @@ class DatasetRequest:
         p = self.parameters
         if p.vehicle_share is not None:
             if not p.vehicles:
-                raise UserError("--share: is that of the models of --vehicles, of which there are none")
+                raise UserError("--share: applies to the models of --vehicles, but there are none; add --vehicles")
             if not 0 < p.vehicle_share <= 1:
-                raise UserError(f"--share: expected a share above 0, up to 1, got {p.vehicle_share:g}")
+                raise UserError(f"--share: expected a share above 0 and up to 1, got {p.vehicle_share:g}")
         for name in p.vehicles.keys() & fleet().keys():
             if p.vehicle_share is None and name in fleet(further=p.variation.further_models):
                 raise UserError(
-                    f"--vehicles {name}: is a model of the fleet, which drives by anyway; "
-                    "say with --share how much of the traffic it makes"
+                    f"--vehicles {name}: is a model of the fleet and in the traffic anyway; "
+                    "set its share of the traffic with --share"
                 )
             learnt = [info.site for info in self.dataset_plan().recordings if info.split == "train"]
             if fleet()[name].held_out and learnt:
                 raise UserError(
-                    f"--vehicles {name}: is held out for test sites, and {learnt[0]} is a site for training; "
+                    f"--vehicles {name}: is held out for test sites, but {learnt[0]} is a training site; "
                     "choose other --sites, or another model of `skope gen vehicles list`"
                 )
 
     def _check_lens(self) -> None:
-        """Raise a UserError where the strongest distortion at the widest angle would fold the image."""
+        """Raise a UserError if the strongest distortion at the widest angle would fold the image."""
         p, settings = self.parameters, self.parameters.variation.settings
         widest = p.variation.cameras.get("fov_deg", (p.fov_deg, p.fov_deg))[1]
         low, high = map(round, settings.get("fisheye", (0.0, 0.0)))
@@ -219,33 +224,35 @@ class DatasetRequest:
     def _check_own(self, own: OwnSite) -> None:
         p, variation = self.parameters, self.parameters.variation
         if p.recordings != len(own.splits):
-            raise UserError(f"--recordings: {own.path} names the splits of {len(own.splits)} recordings")
+            raise UserError(
+                f"--recordings: expected {len(own.splits)}, as {own.path} has that number of splits, got {p.recordings}"
+            )
         camera, photograph, (width, height) = own.road.camera, own.road.photograph, p.pixels()
         if abs(width * camera.height / (height * camera.width) - 1) > 0.01:
             raise UserError(
-                f"--size {p.size}: the camera of {own.path} has {camera.width}x{camera.height}: "
-                "only sizes of that shape can be had"
+                f"--size {p.size}: the camera of {own.path} has {camera.width}x{camera.height}; "
+                "expected a size with the same aspect ratio"
             )
         lens = next((name for name in ("k1", "fisheye") if name in variation.settings), None)
         if lens and (photograph or camera.distortion.model != "none"):
-            raise UserError(f"--set {lens}: {own.path} says already how its camera distorts")
+            raise UserError(f"--set {lens}: {own.path} already sets the distortion of its camera")
         if photograph and (p.weather or p.time_of_day):
             flag = "--weather" if p.weather else "--time-of-day"
-            raise UserError(f"{flag}: {own.path} shows a photograph, in whose light all recordings are")
+            raise UserError(f"{flag}: {own.path} has a photograph, which sets the light of all recordings")
         if variation.views or variation.town_jitter:
             flag = "--views" if variation.views else "--town-jitter"
-            raise UserError(f"{flag}: {own.path} is a road of your own; only the towns of the package can be changed")
+            raise UserError(f"{flag}: {own.path} is a road of your own; only towns of the package can vary")
         if variation.cameras and photograph:
-            raise UserError(f"{own.path}: a photograph shows the road from one camera only: no other can be drawn")
+            raise UserError(f"{own.path}: a photograph shows the road from one camera only; cameras cannot vary")
         if variation.cameras.keys() & {"fov_deg", "height_m", "pitch_deg"}:
-            raise UserError(f"--preset {p.preset}: {own.path} says how its camera hangs (try --camera-jitter)")
+            raise UserError(f"--preset {p.preset}: {own.path} sets the pose of its camera (try --camera-jitter)")
 
     def site(self, name: str) -> Site:
-        """The site of that name, or a UserError that lists those of the package."""
+        """Return the site with the given name; raise a UserError that lists those of the package if there is none."""
         return self.own.site if self.own else site(name)
 
     def plans(self) -> list[RecordingPlan]:
-        """One plan for each recording, site by site; a site's frames are shared out evenly to its recordings."""
+        """Return one plan per recording, site by site; a site's frames are divided evenly among its recordings."""
         return [
             self._plan(name, index, frames)
             for name in self.parameters.sites
@@ -267,18 +274,18 @@ class DatasetRequest:
         return replace(plan, **self._asked_vehicles(plan))
 
     def simulations(self) -> list[tuple[RecordingPlan, ...]]:
-        """The plans, those together that share their traffic."""
+        """Return the plans, grouped by shared traffic."""
         groups: dict[tuple[str, int], list[RecordingPlan]] = {}
         for plan in self.plans():
             groups.setdefault((plan.site.name, plan.leader), []).append(plan)
         return [tuple(group) for group in groups.values()]
 
     def _in_its_light(self, name: str, index: int) -> Site:
-        """The site with the weather, hour and traffic of its recording `index`."""
+        """Return the site with the weather, hour and traffic of its recording `index`."""
         p, row = self.parameters, presets()[self.parameters.preset]
         if self.own is not None:
             own = replace(self.own.site, split=self.own.splits[index])
-            # A photograph shows one light, which all recordings share.
+            # A photograph shows one light, so all recordings have it.
             planned = own if self.own.road.photograph else in_its_light(own, index, p.seed)
         elif "splits" in row:
             planned = in_its_split(site(name), index, p.seed, row["splits"])
@@ -288,7 +295,7 @@ class DatasetRequest:
         return varied(lit) if row.get("varied_light") and self.own is None else lit
 
     def _asked_vehicles(self, plan: RecordingPlan) -> dict[str, Any]:
-        """Fields of a plan: the models that were asked for, or the lorries and buses that preset or split want."""
+        """Return the plan's fields for requested models, or for the heavy vehicles of the preset or split."""
         p, row = self.parameters, presets()[self.parameters.preset]
         share = None if self.own else preset_tables()["conditions"].get(plan.site.split, {}).get("heavy")
         if "heavy" in row and not self.own:
@@ -304,22 +311,22 @@ class DatasetRequest:
         return {"vehicles": tuple(heavy), "vehicle_share": share}
 
     def frames_of(self, name: str) -> int:
-        """Number of frames of the site of that name; where its split is not among `frames`, that of the first split."""
+        """Return the number of frames of a site; if its split is not in `frames`, that of the first split."""
         frames = self.parameters.frames
         return frames.get(self.site(name).split, next(iter(frames.values())))
 
     def dataset_plan(self) -> DatasetPlan:
-        """The plan of the dataset's folder."""
+        """Return the plan of the dataset's folder."""
         return DatasetPlan(self.parameters, tuple(plan.info for plan in self.plans()))
 
     @property
     def images(self) -> int:
-        """Number of images that the dataset will hold."""
+        """Number of images that the dataset will contain."""
         return sum(self.frames_of(name) for name in self.parameters.sites)
 
 
 def _share_out(frames: int, recordings: int) -> list[int]:
-    """Number of frames of each recording, as even as can be; there are no more recordings than frames."""
+    """Divide frames as evenly as possible among recordings; there are at most as many recordings as frames."""
     count = min(recordings, frames)
     return [frames // count + (i < frames % count) for i in range(count)]
 
@@ -337,22 +344,22 @@ def from_preset(
     settings: Mapping[str, Range] | None = None,
     **overrides: Any,
 ) -> DatasetRequest:
-    """The dataset of a preset, with changes.
+    """Return the dataset of a preset with changes.
 
     Args:
-        preset: A name of `presets()`.
-        seed: From 0; everything random follows from it.
+        preset: Name of a preset in `presets()`.
+        seed: Seed of all random draws, from 0.
         renderer: "gl" or "pybullet".
-        driver: What the renderer draws with, as `choose_renderer` names it.
-        rules: What is labelled, what is ignored.
-        frames: Frames per site, in place of the preset's.
-        own: A user's own site in place of the preset's sites; its file gives camera and image size.
-        camera_jitter: Whether each recording's camera hangs a little differently.
-        settings: Ranges of conditions, on top of the preset's.
-        overrides: Other fields of `Parameters`, or of its `variation`; None leaves the preset's value.
+        driver: Driver of the renderer, as `choose_renderer` names it.
+        rules: Rules for labels and ignored road users.
+        frames: Frames per site; replaces the preset's number.
+        own: User's own site, which replaces the preset's sites; its file gives the camera and the image size.
+        camera_jitter: Whether the pose of the camera varies slightly between recordings.
+        settings: Ranges of conditions that override those of the preset.
+        overrides: Other fields of `Parameters`, or of its `variation`; None keeps the preset's value.
 
     Raises:
-        UserError: There is no such preset, or a value is out of range.
+        UserError: The preset is unknown, or a value is out of range.
     """
     row = presets()[one_of("--preset", preset, tuple(presets()))]
     known = {f.name for f in (*fields(Parameters), *fields(Variation))}
@@ -377,7 +384,7 @@ def from_preset(
         values[name] = tuple(row[name]) if name in row else None
     by_day = range_pairs(row.get("settings", {}))
     values["settings"] = by_day | dict(settings or {})
-    # The command on a card repeats the preset's settings: what is asked for as it is anyway leaves nights as they are.
+    # The command on a card repeats the preset's settings: values equal to the preset's must not change the nights.
     changed = {name for name, pair in (settings or {}).items() if pair != by_day.get(name)}
     values["night"] = {name: pair for name, pair in range_pairs(row.get("night", {})).items() if name not in changed}
     values["cameras"] = range_pairs(

@@ -1,7 +1,8 @@
-"""The dataset folder under construction: which frames are done, which are missing, and the merge at the end.
+"""Dataset folder under construction: finished frames, missing frames, and the final merge.
 
-`.work/` holds the parameters and a small file of labels per finished frame, written after the frame's image and depth:
-whatever moment a run is killed at, the frames with such a file are whole. It is removed when the dataset is.
+`.work/` contains the parameters and a small file of labels per finished frame. The label file is written after the
+frame's image and depth, so every frame with a label file is complete, whenever a run is killed. `.work/` is removed
+when the dataset is complete.
 """
 
 import json
@@ -24,11 +25,11 @@ from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording, RecordingInfo
 
 GROWING_PARAMETERS: Final = ("frames", "sites", "recordings")
-"""Parameters that a dataset can be extended by."""
+"""Parameters that may change when a dataset is extended."""
 
 
 class Store:
-    """A dataset folder under construction, at `root`: reads and writes its plan, recordings, frames and labels."""
+    """A dataset folder under construction at `root`: reads and writes its plan, recordings, frames and labels."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -37,12 +38,12 @@ class Store:
 
     @property
     def complete(self) -> bool:
-        """Whether the folder holds a finished dataset."""
+        """Whether the folder contains a complete dataset."""
         return (self.root / CARD_FILE).is_file() and not self._plan_path.is_file()
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep other processes from making the same dataset."""
+        """Lock the folder, so that no other process makes the same dataset."""
         with writing(self.root):
             self.root.mkdir(parents=True, exist_ok=True)
             no_links_out(self.root)
@@ -52,13 +53,13 @@ class Store:
     # ------------------------------------------------------------------------------------------------------ beginnings
 
     def begin(self, wanted: DatasetPlan) -> None:
-        """Start a dataset, resume it, or extend a complete one by sites and frames.
+        """Start a dataset, resume it, or extend a complete one with sites and frames.
 
         Args:
-            wanted: The dataset that is asked for.
+            wanted: Plan of the requested dataset.
 
         Raises:
-            UserError: The folder holds other files, or a dataset of other parameters (the message names them).
+            UserError: The folder contains other files, or a dataset with other parameters (the message names them).
         """
         begun = self._begun(wanted)
         if begun is None:
@@ -71,24 +72,24 @@ class Store:
             if begun.recordings != wanted.recordings:
                 self.reopen()
         elif begun.recordings != wanted.recordings:
-            # Shards that are already there have the frames and ids of the former plan.
+            # Existing shards have the frames and ids of the previous plan.
             unpack_shards(self.root)
         if not self.complete:
             self._write_plan(wanted)
 
     def _begun(self, wanted: DatasetPlan) -> DatasetPlan | None:
-        """The plan of the dataset that the folder holds, if any; a UserError where `wanted` cannot be made there."""
+        """Return the plan of the folder's dataset, or None; raise a UserError if `wanted` cannot be made there."""
         begun = self.read_plan()
         if begun is not None:
             self._refuse_other_parameters(begun, wanted)
         elif self.root.is_dir() and any(path.name != ".lock" for path in self.root.iterdir()):
-            raise UserError(f"{self.root}: holds other files and no dataset; choose an empty folder with --out")
+            raise UserError(f"{self.root}: contains other files and no dataset; choose an empty folder with --out")
         return begun
 
     def frames_left(self, wanted: DatasetPlan) -> dict[RecordingInfo, int]:
-        """Count the frames of each recording that are still to be made; nothing is written.
+        """Count the missing frames of each recording without writing anything.
 
-        Raises UserError where the folder cannot become `wanted`, as `begin` does.
+        Raises UserError if the folder cannot become `wanted`, as `begin` does.
         """
         file = file_in_place_of(self.root)
         if file:
@@ -100,13 +101,13 @@ class Store:
         return {info: info.frames - there.get((info.site, info.name), 0) for info in wanted.recordings}
 
     def read_plan(self) -> DatasetPlan | None:
-        """Read the plan of the folder's dataset, from `.work/` or, when it is complete, from its card.
+        """Read the plan of the folder's dataset from `.work/` or, if it is complete, from its card.
 
         Returns:
-            None for a folder without a dataset.
+            The plan; None for a folder without a dataset.
 
         Raises:
-            UserError: The file that says it is damaged.
+            UserError: The file with the plan is damaged.
         """
         path = self._plan_path if self._plan_path.is_file() else self.root / CARD_FILE
         if not path.is_file():
@@ -115,12 +116,12 @@ class Store:
             return DatasetPlan.from_dict(read_json(path) if path == self._plan_path else read_card(self.root), path)
         except UserError as error:
             raise UserError(
-                f"{error}; {self.root} cannot be gone on with: choose another folder, or move what is there away"
+                f"{error}; {self.root} cannot be resumed: choose another folder, or move its content away"
             ) from None
 
     @property
     def plan(self) -> DatasetPlan:
-        """The plan of a dataset that was begun."""
+        """Plan of the dataset in the folder."""
         plan = self.read_plan()
         assert plan is not None
         return plan
@@ -129,12 +130,12 @@ class Store:
         write_json(self._plan_path, plan.to_dict())
 
     def fix_renderer(self, parameters: Parameters) -> None:
-        """Save the renderer, driver and versions of a dataset that was simulated without choosing them."""
+        """Save the renderer, driver and versions of a dataset that was simulated without them."""
         self._write_plan(replace(self.plan, parameters=parameters))
 
     def _refuse_other_parameters(self, begun: DatasetPlan, wanted: DatasetPlan) -> None:
         was, now = begun.parameters, wanted.parameters
-        if not was.renderer:  # simulated elsewhere, and to be rendered here
+        if not was.renderer:  # simulated on another machine, to be rendered here
             was = replace(was, renderer=now.renderer, driver=now.driver, versions=now.versions)
         larger = {(info.site, info.name): info.frames for info in wanted.recordings}
         grows = all(larger.get((info.site, info.name), 0) >= info.frames for info in begun.recordings)
@@ -148,34 +149,34 @@ class Store:
                 f"{name} = {_short_json(before.get(name))}, now {_short_json(asked.get(name))}" for name in different
             )
             raise UserError(
-                f"{self.root}: was begun with other parameters ({list_}); "
-                "repeat those, choose another --out, or move it away"
+                f"{self.root}: was started with other parameters ({list_}); "
+                "use the same parameters, choose another --out, or move the folder away"
             )
 
     def reopen(self, broken: Container[str] = (), lost: Container[str] = ()) -> None:
-        """Turn a complete dataset back into one under construction: one file of labels per frame.
+        """Turn a complete dataset back into one under construction, with one label file per frame.
 
         Args:
-            broken: File names of images whose frames are left out, and so rendered again.
-            lost: Splits of which all frames are left out.
+            broken: File names of images to render again; their labels are removed.
+            lost: Splits to render again; the labels of all their frames are removed.
 
         Raises:
-            UserError: The dataset is in shards.
+            UserError: The dataset is stored in shards.
         """
         plan = self.plan
         sound = Dataset(self.root, read_card(self.root))
         if sound.sharded:
             raise UserError(
-                f"{self.root}: is complete and in shards; `skope gen convert` it to a folder to go on with it"
+                f"{self.root}: is complete and in shards; to extend it, convert it to a folder with `skope gen convert`"
             )
         for split in (split for split in sound.splits if split not in lost):
             for frame in frames_of_split(sound, split):
                 if frame.labels.image["file_name"] not in broken:
                     self._write_labels(frame.labels)
-        # From here on the folder counts as under construction.
+        # From this line on, the folder counts as under construction.
         self._write_plan(plan)
 
-    # ---------------------------------------------------------------------------------------------------- going along
+    # -------------------------------------------------------------------------------------------------------- progress
 
     def recording_path(self, info: RecordingInfo) -> Path:
         return self.root / "recordings" / f"{info.site}_{info.name}.npz"
@@ -184,14 +185,15 @@ class Store:
         return self._work / "frames" / f"{frame_name}.jsonl"
 
     def recorded(self, info: RecordingInfo) -> bool:
-        """Whether the recording is there, sound and with all its frames."""
+        """Return whether the recording exists, is intact and has all its frames."""
         path = self.recording_path(info)
         return path.is_file() and recordings.sound(path) and recordings.length(path) == info.frames
 
     def write_recording(self, info: RecordingInfo, data: bytes) -> None:
-        """Write a recording (`data` is its .npz file) in place of a shorter one of the same name.
+        """Write a recording (`data` is its .npz file); it may replace a shorter one of the same name.
 
-        Frames that were rendered from the shorter one are kept if both start alike, else they are rendered again.
+        Frames that were rendered from the shorter one are kept if the new one starts with it, else they are rendered
+        again.
         """
         path = self.recording_path(info)
         if path.is_file() and not _starts_like(recordings.unpacked_recording(data, path), path):
@@ -199,16 +201,16 @@ class Store:
         write_bytes(path, data)
 
     def discard_frames(self, frame_names: Iterable[str]) -> None:
-        """Forget the labels of frames, so that they are rendered again."""
+        """Remove the labels of frames, so that they are rendered again."""
         for name in frame_names:
             self._label_path(name).unlink(missing_ok=True)
 
     def missing(self, info: RecordingInfo) -> list[int]:
-        """Numbers of a recording's frames that are not rendered yet."""
+        """Return the numbers of a recording's frames that are not rendered yet."""
         return [frame for frame in range(info.frames) if not self._label_path(info.frame_name(frame)).is_file()]
 
     def write_frame(self, frame: FrameFiles) -> None:
-        """Write a frame: its files, then its labels, which make it count."""
+        """Write a frame: first its files, then its labels, which mark it as complete."""
         for path, data in frame.files.items():
             assert isinstance(data, bytes)
             write_bytes(self.root / path, data)
@@ -220,7 +222,7 @@ class Store:
         write_bytes(self._label_path(labels.name), b"\n".join([json_bytes(head), *labels.rows]))
 
     def _read_labels(self, name: str) -> Labels:
-        """Read the labels of the frame of that name; a UserError where the file is damaged."""
+        """Read the labels of a frame by name; raise a UserError if the file is damaged."""
         path = self._label_path(name)
         first, *rows = read_bytes(path).split(b"\n")
         try:
@@ -234,13 +236,13 @@ class Store:
         except (ValueError, KeyError, TypeError):
             whole = False
         if not whole:
-            raise UserError(f"{path}: is damaged; move it away, and its frame is drawn anew")
+            raise UserError(f"{path}: is damaged; move it away, and its frame is rendered again")
         return Labels(name, head["image"], rows, kinds, head["sha256"], head["tally"])
 
     # ------------------------------------------------------------------------------------------------------------ end
 
     def merge(self) -> Counts:
-        """Write the annotation files or shards, and the manifest; returns the counts of images and vehicles."""
+        """Write the annotation files or shards, and the manifest; return the counts of images and vehicles."""
         plan = self.plan
         writer = writer_of(plan.parameters.format, self.root, categories=plan.parameters.categories)
         for info in plan.recordings:
@@ -263,7 +265,7 @@ class Store:
 def _starts_like(recording: Recording, shorter: Path) -> bool:
     try:
         return recording.starts_like(recordings.load(shorter))
-    except UserError:  # it is broken, or of another version
+    except UserError:  # damaged, or of another version
         return False
 
 

@@ -1,8 +1,8 @@
-"""Estimate of a dataset before it is begun: images, disk and time.
+"""Estimate the images, disk space and time of a dataset before it is generated.
 
-Times are those of one core of a 2.1 GHz Xeon for work without a GPU, and of a worker process beside an NVIDIA H100 with
-one (docs/scale.md), where nothing else runs; other machines are faster or slower by what their cores are. Towns and
-vehicle models are reckoned to be in the cache, lights are not.
+Without a GPU, times are those of one core of a 2.1 GHz Xeon. With a GPU, they are those of a worker process with an
+NVIDIA H100 (docs/scale.md). Both assume that nothing else runs; other machines differ by the speed of their cores.
+Towns and vehicle models are assumed to be in the cache, lights are not.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,26 +22,26 @@ from skope.terminal.console import counted, disk_size, minutes
 
 @dataclass(frozen=True)
 class WorkRates:
-    """Times and sizes by which work is estimated."""
+    """Times and sizes that estimates are computed from."""
 
     start_s: float = 6.0
-    """Time that worker processes take to start, and the dataset to be completed, seconds."""
+    """Time to start the worker processes and to complete the dataset, seconds."""
     simulation_s: float = 1.4
-    """Core time of a simulation's beginning, seconds: traffic that comes into the town."""
+    """Core time of the start of a simulation, in which traffic enters the town, seconds."""
     simulated_second_s: float = 0.17
-    """Core time of a second that is recorded, seconds."""
+    """Core time per recorded second, seconds."""
     town_s: float = 6.0
-    """Core time of what stands along the roads, grown anew for a simulation, seconds."""
+    """Core time of drawing and building roadside scenery for a simulation, seconds."""
     shapes_s: float = 5.0
-    """Core time of a recording's vehicles where each has a shape of its own, seconds."""
+    """Core time of the vehicles of a recording in which each vehicle has its own shape, seconds."""
     light_parts: int = 4
-    """Number of parts of a light that workers without a GPU share."""
+    """Number of parts of a light's computation that workers without a GPU share."""
     labels_bytes: int = 30_000
-    """Bytes of an image's annotations: a dozen vehicles."""
+    """Size of an image's annotations with a dozen vehicles, bytes."""
     image_bytes: tuple[int, float] = (360_000, 0.88)
-    """Bytes of a JPEG of quality 95 with a million pixels, and the power of the number of pixels."""
+    """Size in bytes of a JPEG of quality 95 with one megapixel, and the exponent of the number of megapixels."""
     depth_bytes: tuple[int, float] = (240_000, 0.78)
-    """The same of a depth file."""
+    """Size in bytes of a depth file with one megapixel, and the exponent of the number of megapixels."""
 
 
 WORK_RATES: Final = WorkRates()
@@ -51,12 +51,12 @@ WET_WEATHERS: Final = ("rain", "after_rain", "snow")
 
 @dataclass(frozen=True)
 class Rate:
-    """Core time of a renderer: so many seconds, and so many more for a million pixels."""
+    """Rendering cost on one core: a fixed part in seconds and a part in seconds per megapixel."""
 
     frame: tuple[float, float]
-    """For a frame with a dozen vehicles, labelled and written."""
+    """Cost of a frame with a dozen vehicles, including labels and files."""
     light: tuple[float, float]
-    """For the light of a camera in dry weather, where the cache has none."""
+    """Cost of a camera's light in dry weather, if it is not in the cache."""
     wet_light: tuple[float, float]
 
 
@@ -70,45 +70,45 @@ _BY_QUALITY: Final = {
     "webp": ((1, 50, 80, 95, 100), (0.05, 0.17, 0.30, 0.85, 1.1)),
     "png": ((1, 100), (3.8, 3.8)),
 }
-"""Qualities, and sizes of files of those qualities as multiples of a JPEG's of quality 95."""
+"""Qualities, and file sizes at these qualities relative to a JPEG of quality 95."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """The rest of a dataset that is to be made."""
+    """Estimate of the missing part of a dataset."""
 
     images: int
     disk_bytes: float
     seconds: float | None
-    """None where nothing is known of the workers."""
+    """Estimated time, seconds; None if the workers are unknown."""
     workers: int | None
     cores: int | None
-    """Number of cores that they share on this machine."""
+    """Number of cores that the workers share on this machine."""
 
     @property
     def line(self) -> str:
-        """The estimate in words."""
+        """Estimate in words."""
         if not self.images:
-            return "all images are made already"
+            return "all images exist already"
         images = f"{counted(self.images, 'image')} to make"
         disk = disk_size(self.disk_bytes)
         if self.seconds is None or self.workers is None or self.cores is None:
-            return f"{images}, about {disk}; how long a cluster takes is not known"
+            return f"{images}, about {disk}; the time on a cluster is not known"
         workers = counted(self.workers, "worker")
         shared = f" on {counted(self.cores, 'core')}" if self.cores != self.workers else ""
         return f"{images}, about {disk} and {minutes(self.seconds)} with {workers}{shared}"
 
 
 def estimate(request: DatasetRequest, store: Store, workers: int | None) -> Estimate:
-    """Estimate what making a dataset, or what is left of it, takes on this machine.
+    """Estimate the time and disk space for a dataset, or for its missing part, on this machine.
 
     Args:
-        request: What the dataset is to hold.
-        store: Its folder, which is read only.
-        workers: Number of worker processes on this machine; None for those of a cluster.
+        request: Requested dataset.
+        store: Its folder, which is only read.
+        workers: Number of worker processes on this machine; None for a cluster.
 
     Raises:
-        UserError: The folder holds other files, or was begun with other parameters.
+        UserError: The folder contains other files, or a dataset with other parameters.
     """
     left = store.frames_left(request.dataset_plan())
     plans = [plan for plan in request.plans() if left[plan.info]]
@@ -122,7 +122,7 @@ def estimate(request: DatasetRequest, store: Store, workers: int | None) -> Esti
 
 
 def _simulating(request: DatasetRequest, groups: Sequence[Sequence[RecordingPlan]], cores: int) -> float:
-    """Seconds that simulations take; each is made by one worker."""
+    """Return the time of the simulations, seconds; each simulation runs on one worker."""
     each = [
         WORK_RATES.simulation_s + WORK_RATES.simulated_second_s * sum(plan.frames * plan.interval for plan in group)
         for group in groups
@@ -133,7 +133,7 @@ def _simulating(request: DatasetRequest, groups: Sequence[Sequence[RecordingPlan
 def _rendering(
     request: DatasetRequest, plans: Sequence[RecordingPlan], left: Mapping[RecordingInfo, int], cores: int
 ) -> float:
-    """Seconds that lights and frames take."""
+    """Return the time of lights and frames, seconds."""
     p = request.parameters
     kind = p.renderer if p.renderer == "pybullet" else "llvmpipe" if "llvmpipe" in p.driver else "GPU"
     rate, (width, height) = RENDER_RATES[kind], p.pixels()
@@ -156,7 +156,7 @@ def _rendering(
 
 
 def _frame_bytes(request: DatasetRequest) -> float:
-    """Bytes of a frame's files and labels."""
+    """Return the size of a frame's files and labels, bytes."""
     p = request.parameters
     width, height = p.pixels()
     megapixels = width * height / 1e6

@@ -1,6 +1,6 @@
 """Generate a dataset: simulate, render, annotate, write, merge. The bytes do not depend on the number of workers.
 
-Simulating and rendering can be done apart, on two machines: the folder with the recordings is what travels.
+Simulation and rendering can run on different machines; only the folder with the recordings has to be copied.
 """
 
 import time
@@ -21,35 +21,35 @@ from skope.terminal.console import Console, disk_size, minutes
 
 
 def lighting_messages(console: Console) -> Callable[[str], None]:
-    """A function that is told sites whose light is being worked out, and says each once."""
+    """Return a function that reports each site once, when its light is computed."""
     said = set[str]()
 
     def say(site: str) -> None:
         if site not in said:
             said.add(site)
-            console.say(f"working out the light of {site}")
+            console.say(f"computing the light of {site}")
 
     return say
 
 
 PoolFactory = Callable[[], AbstractContextManager[WorkerPool]]
-"""Starts the worker processes; they stop when the context ends."""
+"""Function that starts the worker processes; they stop when the context ends."""
 
 
 def generate_dataset(request: DatasetRequest, root: Path, start_pool: PoolFactory, console: Console) -> bool:
-    """Make the dataset at `root`, or resume it where a stopped run was.
+    """Make the dataset at `root`, or resume an interrupted run.
 
     Args:
-        request: What the dataset is to hold.
-        root: The dataset folder: a new or empty one, or one that was begun with the same parameters.
+        request: Requested dataset.
+        root: Dataset folder: new, empty, or started with the same parameters.
         start_pool: Starts the workers, as `local_pool` or `ray_pool` do.
-        console: Where progress is shown.
+        console: Output for progress messages.
 
     Returns:
-        False when the dataset was complete already.
+        False if the dataset was already complete.
 
     Raises:
-        UserError: The folder cannot be written, holds other files, or was begun with other parameters.
+        UserError: The folder is not writable, contains other files, or was started with other parameters.
     """
     store, begun = Store(root), time.perf_counter()
     with store.locked():
@@ -64,19 +64,19 @@ def generate_dataset(request: DatasetRequest, root: Path, start_pool: PoolFactor
 
 
 def simulate_dataset(request: DatasetRequest, root: Path, start_pool: PoolFactory, console: Console) -> bool:
-    """Make a dataset's recordings only; `render_dataset` makes its frames, here or on another machine.
+    """Make only the recordings of a dataset; `render_dataset` makes its frames, on this or another machine.
 
     Args:
-        request: What the dataset is to hold; renderer and driver stay open until rendering.
-        root: The dataset folder: a new or empty one, or one that was begun with the same parameters.
+        request: Requested dataset; renderer and driver stay undetermined until rendering.
+        root: Dataset folder: new, empty, or started with the same parameters.
         start_pool: Starts the workers.
-        console: Where progress is shown.
+        console: Output for progress messages.
 
     Returns:
-        False when all recordings were there already.
+        False if all recordings existed already.
 
     Raises:
-        UserError: The folder cannot be written, holds other files, or was begun with other parameters.
+        UserError: The folder is not writable, contains other files, or was started with other parameters.
     """
     store = Store(root)
     with store.locked():
@@ -92,24 +92,24 @@ def simulate_dataset(request: DatasetRequest, root: Path, start_pool: PoolFactor
 
 
 def render_dataset(root: Path, renderer: str, start_pool: PoolFactory, console: Console) -> bool:
-    """Render, annotate and complete a dataset whose recordings `simulate_dataset` made, here or on another machine.
+    """Render, annotate and complete a dataset with recordings from `simulate_dataset`, on this or another machine.
 
     Args:
-        root: The dataset folder.
-        renderer: "gl", "pybullet" or "auto". Frames that are done must have been drawn with the same one.
+        root: Dataset folder.
+        renderer: "gl", "pybullet" or "auto". Existing frames must have been rendered with the same one.
         start_pool: Starts the workers.
-        console: Where progress is shown.
+        console: Output for progress messages.
 
     Returns:
-        False when the dataset was complete already.
+        False if the dataset was already complete.
 
     Raises:
-        UserError: The folder holds no recordings, one is missing or broken, or the renderer or the versions of
-            libraries differ from those that the frames of before were made with.
+        UserError: The folder contains no recordings, a recording is missing or damaged, or the renderer or a library
+            version differs from that of the existing frames.
     """
     store = Store(root)
     if store.read_plan() is None:
-        raise UserError(f"{root}: holds no recordings; `skope gen simulate --out {root}` makes them")
+        raise UserError(f"{root}: contains no recordings; make them with `skope gen simulate --out {root}`")
     with store.locked():
         if store.complete:
             return False
@@ -123,16 +123,16 @@ def finish_rendering(store: Store, renderer: str, start_pool: PoolFactory, conso
     _fix_renderer(store, renderer)
     absent = [store.recording_path(info) for info in store.plan.recordings if not store.recorded(info)]
     if absent:
-        raise UserError(f"{absent[0]}: is missing or broken ({len(absent)} recordings are); simulate it first")
+        raise UserError(f"{absent[0]}: is missing or damaged ({len(absent)} recordings are); simulate it first")
     with start_pool() as pool:
         _render(store, pool, console)
     _finish(store, console, begun)
 
 
 def _fix_renderer(store: Store, renderer: str) -> None:
-    """Choose and save the renderer of a dataset that has none yet; else check that it is the same one here.
+    """Choose and save the renderer of a dataset that has none yet; otherwise check that this machine has the same.
 
-    Raises UserError where renderer, driver or a library's version differs from that of the frames of before.
+    Raises UserError if renderer, driver or a library version differs from that of the existing frames.
     """
     drawn = store.plan.parameters
     chosen, driver, _ = choose_renderer(drawn.renderer or renderer)
@@ -145,8 +145,8 @@ def _fix_renderer(store: Store, renderer: str) -> None:
         before, value = getattr(drawn, name), getattr(now, name)
         if before != value:
             raise UserError(
-                f"{store.root}: its frames are drawn with {name} = {before}, here it is {value}: "
-                "the bytes would not be the same"
+                f"{store.root}: its frames were made with {name} = {before}, but this machine has {value}; "
+                "new frames would not have the same bytes"
             )
 
 
@@ -154,7 +154,7 @@ def _simulate(store: Store, request: DatasetRequest, pool: WorkerPool, console: 
     todo = [plans for plans in request.simulations() if not all(store.recorded(plan.info) for plan in plans)]
     for path in (store.recording_path(plan.info) for plans in todo for plan in plans):
         if path.is_file() and not recording.sound(path):
-            console.say(f"{path}: is broken, and is made again")
+            console.say(f"{path}: is damaged, and is made again")
     with console.bar(total=sum(map(len, todo)), unit="recording", label="simulating") as bar:
         for count in pool.simulate(store, todo):
             bar.update(count)
@@ -176,7 +176,7 @@ def _render(store: Store, pool: WorkerPool, console: Console) -> None:
 
 
 def spec_of(store: Store) -> RenderJobSpec:
-    """Way in which a dataset under construction has its frames drawn, labelled and written, by its saved parameters."""
+    """Return how the frames of a dataset are rendered, labelled and written, according to its saved parameters."""
     parameters = store.plan.parameters
     return RenderJobSpec(parameters.renderer, parameters.driver, parameters.rules, parameters.encoding)
 
@@ -187,7 +187,7 @@ def _finish(store: Store, console: Console, begun: float) -> None:
     store.finish(content)
     size = sum(path.stat().st_size for path in store.root.rglob("*") if path.is_file())
     console.say(
-        f"{counts.images} images, {content['counts']['ground_truth']} vehicles to learn and "
+        f"{counts.images} images, {content['counts']['ground_truth']} ground-truth vehicles and "
         f"{sum(content['counts']['ignored'].values())} ignored, {disk_size(size)}, "
         f"in {minutes(time.perf_counter() - begun)}"
     )

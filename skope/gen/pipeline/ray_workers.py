@@ -1,4 +1,4 @@
-"""Workers of a Ray cluster. They share no disk with this machine: recordings are sent to them, frames come back."""
+"""Workers of a Ray cluster, without a shared disk: recordings are sent to them, and they return frames."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -19,13 +19,13 @@ from skope.gen.scene.recording import Recording, RecordingInfo, RecordingPlan
 from skope.gen.simulation.simulate import simulate_together
 
 MOST_LOST_WORKERS: Final = 20
-"""Number of workers that may be lost before the run is given up."""
+"""Maximum number of workers that may be lost before the run stops."""
 
 
 class Worker:
-    """The Ray actor: one process of the cluster, which keeps the recording open that it works on.
+    """Ray actor: one process of the cluster, which keeps its current recording open.
 
-    Libraries must have the versions `same`, or bytes would differ; a UserError otherwise.
+    Its libraries must have the versions `same`, since bytes would differ otherwise; raises a UserError if they do not.
     """
 
     def __init__(self, same: Mapping[str, str]) -> None:
@@ -37,7 +37,7 @@ class Worker:
         here = versions()
         for name, version in same.items():
             if here.get(name) != version:
-                raise UserError(f"has {name} {here.get(name, 'not at all')}, this run is made with {version}")
+                raise UserError(f"has {name} {here.get(name, 'not installed')}; this run uses {version}")
 
     def simulate(self, plans: Sequence[RecordingPlan]) -> list[bytes]:
         return [recordings.packed_recording(recording) for recording in simulate_together(plans)]
@@ -46,7 +46,7 @@ class Worker:
         if self._recording != job.recording or self._opened is None:
             _, driver, _ = choose_renderer(spec.renderer)
             if driver != spec.driver:
-                raise UserError(f"draws with {driver}, this run is drawn with {spec.driver}")
+                raise UserError(f"renders with {driver}; this run uses {spec.driver}")
             source = recordings.unpacked_recording(data, Path(f"{job.recording.site}_{job.recording.name}.npz"))
             self._opened, self._recording = (source, make_renderer(spec.renderer, source)), job.recording
         source, renderer = self._opened
@@ -54,7 +54,7 @@ class Worker:
 
 
 class RayPool:
-    """A pool of `count` workers of a Ray cluster. The job of a lost worker is done by another one."""
+    """A pool of `count` workers of a Ray cluster; the job of a lost worker is given to another worker."""
 
     def __init__(self, ray: Any, count: int) -> None:
         self._ray, self._lost = ray, 0
@@ -91,7 +91,7 @@ class RayPool:
 
         def begin(worker: Any, job: RenderJob) -> Any:
             if job.recording not in sent:
-                # Recordings that no worker works on any more may leave the cluster's memory.
+                # The cluster can free the memory of recordings that no worker uses any more.
                 for recording in sent.keys() - set(held.values()):
                     del sent[recording]
                 sent[job.recording] = self._ray.put(store.recording_path(job.recording).read_bytes())
@@ -131,14 +131,14 @@ class RayPool:
             yield task, result
 
     def _replace_worker(self, worker: Any, error: Exception) -> Any:
-        if "UserError" in str(error):  # it refused to start
+        if "UserError" in str(error):  # the worker rejected the run at its start
             text = next(line for line in reversed(str(error).splitlines()) if "UserError" in line)
             raise UserError(f"a worker of the cluster {text.split('UserError: ')[-1]}") from None
         self._lost += 1
         if self._lost > MOST_LOST_WORKERS:
             raise UserError(
-                f"{self._lost} workers of the cluster were lost, perhaps for want of memory; "
-                "the same command goes on from here"
+                f"{self._lost} workers of the cluster were lost, possibly for lack of memory; "
+                "run the same command again to resume"
             ) from None
         self._workers[self._workers.index(worker)] = hired = self._start_worker()
         return hired
@@ -146,11 +146,11 @@ class RayPool:
 
 @contextmanager
 def ray_pool(count: int | None, address: str | None) -> Iterator[WorkerPool]:
-    """A pool of workers of a Ray cluster.
+    """Start a pool of workers of a Ray cluster; use as a context manager.
 
     Args:
         count: Number of workers. Default: one per core of the cluster.
-        address: Address of the cluster. Default: the one that this machine belongs to, or a new one on it.
+        address: Address of the cluster. Default: the cluster of this machine, or a new one on it.
 
     Raises:
         UserError: Ray is not installed, there is no cluster at `address`, or it has fewer cores than `count`.
@@ -158,7 +158,7 @@ def ray_pool(count: int | None, address: str | None) -> Iterator[WorkerPool]:
     try:
         import ray
     except ImportError:
-        raise UserError("--engine ray: Ray is not installed; pip install skope[ray]") from None
+        raise UserError("--engine ray: Ray is not installed; install it with pip install skope[ray]") from None
     own = not ray.is_initialized()
     if own:
         quiet: dict[str, Any] = {"logging_level": "error", "log_to_driver": False, "include_dashboard": False}

@@ -1,4 +1,4 @@
-"""Worker processes of this machine, which simulate and render a dataset's recordings, and the queue of their jobs."""
+"""Worker processes of this machine, which simulate and render a dataset's recordings, and their job queue."""
 
 import os
 import threading
@@ -28,12 +28,12 @@ from skope.gen.simulation.simulate import simulate_together
 
 @dataclass(frozen=True)
 class WorkerTimes:
-    """Size of a job, and how often workers are listened to."""
+    """Size of a job, and polling interval."""
 
     frames_per_job: int = 8
-    """Frames per job: small enough that no worker idles long at the end."""
+    """Number of frames per job; small, so that no worker is idle for long at the end."""
     listen_s: float = 0.2
-    """Interval at which messages of workers are read, seconds."""
+    """Polling interval for messages of busy workers, seconds."""
 
 
 WORKER_TIMES: Final = WorkerTimes()
@@ -41,29 +41,29 @@ WORKER_TIMES: Final = WorkerTimes()
 
 @dataclass(frozen=True)
 class RenderJobSpec:
-    """Specification on how a dataset's frames are drawn, labelled and written."""
+    """Settings for rendering, labelling and writing a dataset's frames."""
 
     renderer: str
-    """"gl" or "pybullet"."""
+    """Renderer: "gl" or "pybullet"."""
     driver: str
-    """The means by which the renderer must draw, or bytes would differ: the name that `choose_renderer` gives."""
+    """Required driver of the renderer, as `choose_renderer` names it; bytes would differ with another driver."""
     rules: Rules
     encoding: Encoding
 
 
 @dataclass(frozen=True)
 class RenderJob:
-    """Some frames of a recording, which one worker renders in one go."""
+    """Some frames of a recording that one worker renders together."""
 
     recording: RecordingInfo
     frames: tuple[int, ...]
 
 
 class WorkerPool(Protocol):
-    """One or more workers that simulate and render into a store. What they yield is already written."""
+    """One or more workers that simulate and render into a store; everything that they report is already written."""
 
     def simulate(self, store: Store, simulations: Iterable[Sequence[RecordingPlan]]) -> Iterator[int]:
-        """Make the recordings of each simulation; yields how many are done since the last time."""
+        """Make the recordings of each simulation; yield the number of new recordings after each job."""
         ...
 
     def render(
@@ -73,21 +73,21 @@ class WorkerPool(Protocol):
         spec: RenderJobSpec,
         on_light: Callable[[str], None],
     ) -> Iterator[int]:
-        """Render the `missing` frames of each recording; yields how many frames are done since the last time.
+        """Render the `missing` frames of each recording; yield the number of new frames after each job.
 
-        `on_light` is called with the site whose light a worker begins to work out, for each part of it. Workers of a
-        Ray cluster have no way to say so.
+        `on_light` is called with the site of each part of a light that a worker begins to compute. Workers of a Ray
+        cluster do not call it.
         """
         ...
 
 
 class JobQueue:
-    """Frames to render, handed out so that workers seldom change recording and town.
+    """Queue of frames to render, in an order in which workers seldom change recording and town.
 
-    A worker is given the rest of its own recording first, then a recording that no worker has had, and then a part of
-    the one that has most left. Recordings of a town follow each other, and a worker keeps the towns in memory that it
-    has loaded. So the next new recording is the one after its last, or else the middle of the longest run of
-    recordings that no worker has had; there it begins with a town, where so many `views` in a row share one.
+    A worker first gets the rest of its own recording, then an unassigned recording, and then part of the recording with
+    the most jobs left. Recordings of a town follow each other, and a worker keeps loaded towns in memory. The next
+    recording of a worker is therefore the one after its last recording. If that is assigned, it is the middle of the
+    longest run of unassigned recordings. If `views` recordings share a town, it is the first recording of that town.
     """
 
     def __init__(
@@ -102,13 +102,13 @@ class JobQueue:
         self._place = {recording: place for place, recording in enumerate(self._order)}
         self._views = views
         self._untouched = {0: len(self._order)} if self._order else {}
-        """Runs of recordings that no worker has had: places in `_order`, first: last + 1."""
+        """Runs of unassigned recordings as positions in `_order`: first position -> last position + 1."""
 
     def __bool__(self) -> bool:
         return bool(self._left)
 
     def next_for(self, holding: RecordingInfo | None) -> RenderJob:
-        """The next job of a worker whose last job was of the recording `holding` (None: it has had none)."""
+        """Return the next job of a worker; `holding` is the recording of its last job, or None before the first."""
         recording = holding
         if recording not in self._left:
             if self._untouched:
@@ -122,8 +122,10 @@ class JobQueue:
         return job
 
     def _claim_place(self, wanted: int) -> int:
-        """Take a recording out of `_untouched`: the one at `wanted` if a run begins there, else one in the middle of
-        the longest run. Returns its place in `_order`."""
+        """Take a recording out of `_untouched` and return its position in `_order`.
+
+        It is the recording at `wanted` if a run begins there, else one in the middle of the longest run.
+        """
         at = begin = wanted
         if wanted not in self._untouched:
             begin = max(self._untouched, key=lambda begin: self._untouched[begin] - begin)
@@ -135,7 +137,7 @@ class JobQueue:
         return at
 
     def _begin_of_town(self, first: int, middle: int) -> int:
-        """Place of the first recording of the town that the one at `middle` shows; `middle` if `first` shows it too."""
+        """Return the position of the first recording of the town at `middle`; `middle` if `first` has the same town."""
 
         def town(place: int) -> tuple[str, int]:
             recording = self._order[place]
@@ -146,7 +148,7 @@ class JobQueue:
         return next(place for place in range(first, middle + 1) if town(place) == town(middle))
 
     def put_back(self, job: RenderJob) -> None:
-        """Hand a job out again, because the worker that had it was lost."""
+        """Return a job to the queue after its worker was lost."""
         self._left.setdefault(job.recording, deque()).appendleft(job)
 
 
@@ -156,7 +158,7 @@ class JobQueue:
 def simulate_job(root: Path, plans: Sequence[RecordingPlan]) -> int:
     """Simulate recordings that share their traffic, and write them to the dataset folder `root`.
 
-    Returns how many they are. Those that are there already stay.
+    Returns the number of recordings. Existing recordings are kept.
     """
     store = Store(root)
     for plan, recording in zip(plans, simulate_together(plans), strict=True):
@@ -166,7 +168,7 @@ def simulate_job(root: Path, plans: Sequence[RecordingPlan]) -> int:
 
 
 def render_job(root: Path, spec: RenderJobSpec, job: RenderJob, on_light: Callable[[str], None]) -> int:
-    """Render and write a job's frames to the dataset folder `root`; returns how many they are."""
+    """Render a job's frames and write them to the dataset folder `root`; return their number."""
     store = Store(root)
     path = store.recording_path(job.recording)
     source, renderer = _open_recording(path, path.stat().st_mtime_ns, spec.renderer, on_light)
@@ -176,7 +178,7 @@ def render_job(root: Path, spec: RenderJobSpec, job: RenderJob, on_light: Callab
 
 
 def _render_in_worker(root: Path, spec: RenderJobSpec, job: RenderJob) -> int:
-    """`render_job` of a worker process, which tells the main process what it lights."""
+    """Run `render_job` in a worker process, which reports lights to the main process."""
     return render_job(root, spec, job, _tell_lighting)
 
 
@@ -185,14 +187,14 @@ def _tell_lighting(site: str) -> None:
 
 
 _lit_sites: "SimpleQueue[str]"
-"""Of a worker process: where it tells the sites whose light it works out."""
+"""Queue of a worker process for site names: it adds a site when it starts to compute its light."""
 
 
 @lru_cache(maxsize=1)
 def _open_recording(
     path: Path, _changed: int, renderer: str, on_light: Callable[[str], None]
 ) -> tuple[Recording, Renderer]:
-    """A recording and its renderer, kept until a job is of another one, or of a file written since (`_changed`, ns)."""
+    """Return a recording and its renderer; both are kept until the recording or its file (`_changed`, ns) changes."""
     source = recordings.load(path)
     return source, make_renderer(renderer, source, partial(on_light, source.site))
 
@@ -222,14 +224,14 @@ class InProcessPool:
 
 @dataclass
 class _Worker:
-    """One worker process, and the recording that it has open."""
+    """One worker process, and the recording that it keeps open."""
 
     pool: ProcessPoolExecutor
     recording: RecordingInfo | None = None
 
 
 class ProcessPool:
-    """A pool of `count` worker processes of this machine, one thread each."""
+    """A pool of `count` worker processes on this machine, with one thread each."""
 
     def __init__(self, count: int) -> None:
         context = get_context("spawn")
@@ -271,9 +273,9 @@ class ProcessPool:
         next_for: Callable[[_Worker], Callable[[], int]],
         on_light: Callable[[str], None] = lambda _: None,
     ) -> Iterator[int]:
-        """Give every idle worker the job that `next_for` names while `left` is true; yields what jobs return.
+        """Give each idle worker the job from `next_for` while `left` is true; yield the results of the jobs.
 
-        `on_light` is called with the sites that workers tell meanwhile.
+        `on_light` is called with the sites that workers report in the meantime.
         """
         idle, busy = list(self._workers), dict[Future[int], _Worker]()
         try:
@@ -289,12 +291,12 @@ class ProcessPool:
                     yield future.result()
         except BrokenProcessPool:
             raise UserError(
-                "a worker process was killed, perhaps for want of memory (try fewer --workers); "
-                "the same command goes on from here"
+                "a worker process was killed, possibly for lack of memory (try fewer --workers); "
+                "run the same command again to resume"
             ) from None
 
     def close(self, *, now: bool) -> None:
-        """Stop the worker processes; with `now`, without waiting for the jobs they are at."""
+        """Stop the worker processes; with `now`, do not wait for their jobs."""
         for worker in self._workers:
             if now:
                 for process in list((worker.pool._processes or {}).values()):
@@ -304,7 +306,7 @@ class ProcessPool:
 
 @contextmanager
 def local_pool(workers: int) -> Iterator[WorkerPool]:
-    """A pool of `workers` processes of this machine; for one worker, this process itself."""
+    """Start a pool of `workers` processes on this machine; a single worker is this process itself."""
     if workers == 1:
         yield InProcessPool()
         return
@@ -318,14 +320,14 @@ def local_pool(workers: int) -> Iterator[WorkerPool]:
 
 
 def one_thread() -> None:
-    """Keep OpenCV to one thread in this process: there is a worker for each core."""
+    """Limit OpenCV to one thread in this process, since there is a worker for each core."""
     import cv2
 
     cv2.setNumThreads(1)
 
 
 def _start_worker(number: int, lit_sites: "SimpleQueue[str]") -> None:
-    """Set a worker process up: one thread, Ctrl-C left to the parent, and an end when the parent ends."""
+    """Set up a worker process: one thread, Ctrl-C left to the parent, and an exit when the parent exits."""
     import signal
 
     global _lit_sites
@@ -344,7 +346,7 @@ def _start_worker(number: int, lit_sites: "SimpleQueue[str]") -> None:
 
 
 def check_workers(workers: int) -> int:
-    """The number of `--workers`; a UserError below 1."""
+    """Return the value of `--workers`; raise a UserError if it is below 1."""
     if workers < 1:
         raise UserError(f"--workers: expected a whole number from 1, got {workers}")
     return workers

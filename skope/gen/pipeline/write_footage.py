@@ -1,4 +1,4 @@
-"""Footage of a site with its labels: a video file, and the annotation file of its frames."""
+"""Labelled footage of a site: a video file and the annotation file of its frames."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -30,12 +30,12 @@ from skope.terminal.console import Console
 from skope.video.write import VideoFile, create_video
 
 FRAME_RATES: Final = (5, 8, 10, 12.5, 20, 25, 40, 50)
-"""Frames a second that a video can have: SUMO's steps are whole milliseconds and must divide a frame's time."""
+"""Permitted frames per second of a video; SUMO's steps are whole milliseconds that divide a frame's time."""
 
 
 @dataclass(frozen=True)
 class WrittenFootage:
-    """Paths of the files that `write_footage` writes."""
+    """Paths of the files written by `write_footage`."""
 
     video: Path
     labels: Path
@@ -43,43 +43,41 @@ class WrittenFootage:
 
 
 def plan_of(plan: RecordingPlan, fps: float, seconds: float, size_field: str = "--size") -> RecordingPlan:
-    """A recording's plan, changed to the frames of a video.
+    """Adapt a recording's plan to the frames of a video.
 
     Args:
-        plan: Site, size and conditions.
-        fps: Frames a second, one of `FRAME_RATES`.
-        seconds: Length of the video, up to 3600.
+        plan: Plan with site, size and conditions.
+        fps: Frames per second, one of `FRAME_RATES`.
+        seconds: Length of the video, seconds, up to 3600.
         size_field: The option or field that gave the image size, for the error message.
 
     Raises:
-        UserError: A video cannot have this frame rate, length, or size (odd numbers of pixels).
+        UserError: The frame rate, the length or the size (odd numbers of pixels) is not possible.
     """
     if fps not in FRAME_RATES:
         raise UserError(f"--fps: expected one of {', '.join(f'{one:g}' for one in FRAME_RATES)}, got {fps:g}")
     if not 0 < seconds <= 3600:
-        raise UserError(f"--seconds: expected seconds up to 3600, got {seconds:g}")
+        raise UserError(f"--seconds: expected a number of seconds up to 3600, got {seconds:g}")
     width, height = plan.size
-    if width % 2 or height % 2:  # the encoder would drop the last column or row, and the labels would keep it
-        raise UserError(f"{size_field}: a video's width and height are even numbers of pixels, got {width}x{height}")
+    if width % 2 or height % 2:  # the encoder would drop the last column or row, but the labels would include it
+        raise UserError(f"{size_field}: expected an even width and height for a video, got {width}x{height}")
     return replace(plan, frames=max(1, round(fps * seconds)), interval=1 / fps)
 
 
 def check_free(footage: WrittenFootage, options: Mapping[str, Any]) -> None:
-    """Raise a UserError where one of the files exists, unless the labels' file says it was made with `options`."""
+    """Raise a UserError if one of the files exists, unless the label file records the same `options`."""
     there = [path for path in (footage.video, footage.labels, footage.overlay) if path and path.exists()]
     if not there:
         return
     held = _options_of(footage.labels)
     if held == options:
         return
-    what = (
-        f"of other footage ({', '.join(changed_options(held, options))})" if held else "and nothing says what it is of"
-    )
-    raise UserError(f"{there[0]}: is there already, {what}; choose another folder with --out, or move it away")
+    what = f"belongs to other footage ({', '.join(changed_options(held, options))})" if held else "has no label file"
+    raise UserError(f"{there[0]}: exists and {what}; choose another folder with --out, or move it away")
 
 
 def _options_of(labels: Path) -> Mapping[str, Any]:
-    """The options that footage was made with, which its file of labels holds; empty where there is no such file."""
+    """Return the options that footage was made with, from its label file; empty if there is none."""
     try:
         document = read_json(labels)
     except UserError:
@@ -101,22 +99,22 @@ def write_footage(
     """Simulate and render a video with labels: `out`/<site>.mp4, <site>.json and, with overlay, <site>_labels.mp4.
 
     Args:
-        plan: The recording, as `plan_of` makes it.
+        plan: Plan of the recording, from `plan_of`.
         renderer: "gl" or "pybullet".
-        out: Folder of the files.
-        options: What the user asked for, as JSON values; kept in the labels' `info`.
-        with_overlay: Whether to write a second video with the labels drawn in.
-        console: Where progress is shown.
+        out: Output folder.
+        options: The user's options as JSON values; stored in the labels' `info`.
+        with_overlay: Whether to write a second video that shows the labels.
+        console: Output for progress messages.
 
     Raises:
-        UserError: Files of other footage are there, or the video cannot be written.
+        UserError: Files of other footage exist, or the video cannot be written.
     """
     name = plan.site.name
     footage = WrittenFootage(
         out / f"{name}.mp4", out / f"{name}.json", out / f"{name}_labels.mp4" if with_overlay else None
     )
     check_free(footage, options)
-    for_ffmpeg(footage.video)  # what cannot be written is told before anything is simulated
+    for_ffmpeg(footage.video)  # fails before the simulation if the path cannot be written
     console.say(f"{name}: simulating {plan.frames * plan.interval:g} s")
     recording = simulate(plan)
     size, fps = (recording.camera.width, recording.camera.height), 1 / plan.interval
@@ -148,7 +146,7 @@ def write_footage(
             road_users=tuple(road_users),
             categories=CATEGORY_NAMES if recording.road_users else VEHICLE_ALONE,
         )
-        # The labels come first, before the videos are renamed into place: they say which footage the files are of.
+        # The labels are written before the videos are renamed into place, since they record what the files belong to.
         write(footage.labels, file)
     return footage
 
@@ -168,6 +166,6 @@ def _render_frames(
 
 @contextmanager
 def _whole_video(path: Path, size: tuple[int, int], fps: float) -> Iterator[VideoFile]:
-    """A video file that takes its place when it is whole."""
+    """Open a video file that is renamed into place when it is complete."""
     with replacing(path) as temporary, create_video(temporary, size, fps) as video:
         yield video

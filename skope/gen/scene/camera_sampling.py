@@ -1,10 +1,9 @@
-"""Draw the cameras of recordings at random: height, pose and field of view near those of a site; or at other corners of
-its town, by the road and the traffic that they see.
+"""Draw the cameras of recordings at random, near a site's own camera or elsewhere in its town.
 
-At other corners a mast stands beside a road, or a camera hangs over it; it looks at a place on the road, and its zoom
-is set so that vehicles there have a size that is drawn first. Of many cameras, one is taken with a probability that
-follows from the vehicles that it will see. Views that show road before a camera of a test site are never taken: what is
-tested on is not learnt from.
+Near a site, height, pose and field of view vary around those of the site's camera. Elsewhere ("views"), the camera is
+on a mast beside a road or above the road, and looks at a point on the road. Its zoom is set so that vehicles there have
+a size that was drawn before. One of many candidate cameras is chosen; its probability depends on the vehicles that it
+will see. Views of road that a test site's camera sees are always rejected: test roads are never used for training.
 """
 
 import itertools
@@ -36,57 +35,60 @@ CAMERA_LIMITS: Final[Mapping[str, Range]] = {
     "yaw_by_deg": (-180.0, 180.0),
     "roll_by_deg": (-45.0, 45.0),
 }
-"""Ranges that a camera can be drawn by: in place of the site's (height over the road), or added to it (`zoom_by` is a
-factor on the focal length)."""
+"""Limits of the values that a camera can be drawn from.
+
+Values with "by" in their name change those of the site (`zoom_by` is a factor on the focal length). The others replace
+them (the height is above the road)."""
 
 
 @dataclass(frozen=True)
 class CameraSampling:
-    """How cameras are drawn, and what they must see."""
+    """Settings for drawing cameras, and what they must see."""
 
     tries: int = 500
-    """Cameras that are drawn until one sees enough road."""
+    """Maximum number of cameras that are drawn until one sees enough road."""
     car_height_m: float = 1.5
-    """Height of a car, metres."""
+    """Assumed height of a car, metres."""
     large_px: float = 24.0
-    """A lane is seen where a car is so high in an image of 1080 rows, pixels."""
+    """Minimum height of a car on a lane for the lane to count as seen, pixels in an image of 1080 rows."""
     bridge_m: float = 12.0
-    """A camera nearer to a bridge's lanes than this hangs on the bridge, metres."""
+    """Distance from a bridge's lanes within which a camera is taken to be on the bridge, metres."""
     least_road_m: float = 40.0
-    """Least length of lanes that a camera must see, metres; or half of what the site's own sees, if that is less."""
+    """Minimum length of lanes that a camera must see, metres; or half of what the site's camera sees, if less."""
     candidates: int = 100
-    """Cameras that are drawn for each view."""
+    """Number of candidate cameras that are drawn for each view."""
     empty_share: float = 0.06
-    """Share of the views that are to show a road without vehicles."""
+    """Fraction of the views that are meant to show a road without vehicles."""
     enough_vehicles: float = 20.0
-    """Vehicles in view on average, from which more of them make a view no more likely."""
+    """Mean number of vehicles in view above which more vehicles do not make a view more probable."""
     least_view_road_m: float = 8.0
-    """Least length of lanes that a view must show, metres: a camera over a single vehicle sees little more."""
+    """Minimum length of lanes that a view must show, metres; a camera above one vehicle sees little more."""
     largest_vehicle: tuple[float, float] = (0.1, 0.7)
-    """Default range of the height of the largest vehicle in a frame, as a share of the image's; drawn evenly in its
-    logarithm. A preset may choose another (`Variation.largest_vehicle`)."""
+    """Default range of the height of the largest vehicle in a frame, as a fraction of the image height.
+
+    It is drawn log-uniformly. A preset can set another range (`Variation.largest_vehicle`)."""
     largest_sigma: float = 0.3
-    """Standard deviation of the logarithm of that height around what is wanted."""
+    """Standard deviation of the logarithm of that height around the drawn value."""
     at_target: tuple[float, float] = (0.5, 1.0)
-    """Range of the height of a car where the camera looks, as a share of what is wanted of the largest."""
+    """Range of the height of a car at the camera's target, as a fraction of the drawn height of the largest vehicle."""
     at_vehicles_share: float = 0.8
-    """Share of the cameras drawn that look at a vehicle; the others look at any place on the road."""
+    """Fraction of the drawn cameras that look at a vehicle; the others look at a random point on the road."""
     mast_aside_m: tuple[float, float] = (0.8, 9.0)
     """Range of the distance from the carriageway to a mast, metres."""
     seen_px: float = 16.0
-    """Height of a car in an image of 1080 rows from which it counts as seen, pixels."""
+    """Minimum height of a visible car, pixels in an image of 1080 rows."""
     car_extent_m: float = 3.0
-    """Typical apparent length of a car, between its width and its length, metres."""
+    """Typical apparent length of a car seen from above, between its width and its length, metres."""
     steep_deg: float = 55.0
-    """Cameras that look down more steeply hang over the road, on a gantry, a bridge or an arm."""
+    """Downward pitch above which a camera hangs over the road (on a gantry, bridge or arm), degrees."""
     over_road_m: float = 6.0
-    """Least height over the road of a camera that hangs above it, metres."""
+    """Minimum height above the road of a camera that hangs over it, metres."""
     frame_step: int = 3
-    """One frame of this many is examined to count vehicles."""
+    """Frame stride when counting the vehicles in view."""
     house_distance_m: float = 3.0
-    """No house stands nearer to the carriageway than this, metres."""
+    """Minimum distance from houses to the carriageway, metres."""
     above_ground_m: float = 2.5
-    """Least height of a camera over the ground that its mast stands on, metres."""
+    """Minimum height of a camera above the ground at its mast, metres."""
 
 
 CAMERA_SAMPLING: Final = CameraSampling()
@@ -94,20 +96,20 @@ CAMERA_SAMPLING: Final = CameraSampling()
 
 @dataclass(frozen=True)
 class CameraRanges:
-    """Ranges that cameras are drawn from."""
+    """Image settings of a camera, and the ranges that it is drawn from."""
 
     size: tuple[int, int]
     """Width and height of the image, pixels."""
     fov_deg: float
-    """Horizontal field of view where `spans` has none."""
+    """Horizontal field of view, degrees; used if `spans` has none."""
     distortion: Distortion | None
-    """That of the lens; None for none, or that of a user's own camera."""
+    """Distortion of the lens; None for no distortion, or for that of a user's own camera."""
     spans: Mapping[str, Range]
-    """Ranges of `CAMERA_LIMITS`, from which values are drawn; empty for a site's own camera."""
+    """Ranges that values are drawn from, keyed as `CAMERA_LIMITS`; empty for a site's own camera."""
 
 
 def check_ranges(spans: Mapping[str, Range]) -> None:
-    """UserError when a range is not one of `CAMERA_LIMITS`, or beyond it."""
+    """Raise a UserError if a range is not in `CAMERA_LIMITS`, or exceeds it."""
     for name, (low, high) in spans.items():
         least, most = CAMERA_LIMITS[name]
         if not least <= low <= high <= most:
@@ -119,8 +121,8 @@ def sample_camera(site: Site, ranges: CameraRanges, rng: np.random.Generator) ->
 
     Args:
         site: The camera site.
-        ranges: What is drawn evenly.
-        rng: Draws.
+        ranges: Ranges of the values, which are drawn uniformly.
+        rng: Random generator.
 
     Raises:
         UserError: None of `CAMERA_SAMPLING.tries` cameras sees enough road.
@@ -139,16 +141,16 @@ def sample_camera(site: Site, ranges: CameraRanges, rng: np.random.Generator) ->
         camera = moved(lens, values, level)
         if camera.position[2] >= lowest and road_seen(camera, lanes) >= enough:
             return camera
-    raise UserError(f"{site.name}: of {CAMERA_SAMPLING.tries} cameras drawn none sees {enough:.0f} m of lanes")
+    raise UserError(f"{site.name}: none of {CAMERA_SAMPLING.tries} drawn cameras sees {enough:.0f} m of lanes")
 
 
 def moved(camera: Camera, values: Mapping[str, float], level: float) -> Camera:
-    """A camera that hangs, turns or zooms otherwise.
+    """Return the camera with its height, pose or zoom changed.
 
     Args:
         camera: The camera.
-        values: Some of the values of `CAMERA_LIMITS`, in their units.
-        level: Height of the road before the camera, metres.
+        values: Some of the values in `CAMERA_LIMITS`, in their units.
+        level: Height of the road in front of the camera, metres.
     """
     x, y, z = camera.position.tolist()
     yaw, pitch_down, roll = camera.angles
@@ -164,12 +166,12 @@ def moved(camera: Camera, values: Mapping[str, float], level: float) -> Camera:
 
 
 def _level(layout: Layout, site: Site) -> float:
-    """Height of the road that the site looks at, metres."""
+    """Return the height of the road that the site's camera looks at, metres."""
     return layout.graph.road_level(site.position[:2]) if site.road else layout.road_below(site)
 
 
 def _lowest(graph: RoadGraph, site: Site) -> float:
-    """Height that a camera on a bridge keeps to: that of its parapet; elsewhere it may hang at any, metres."""
+    """Return the minimum height of the site's camera, metres: its own height on a bridge, minus infinity elsewhere."""
     decks = [graph.lane_points[str(edge.getID())] for edge in graph.edges_of("bridge")]
     x, y, z = site.position
     under = [
@@ -179,48 +181,51 @@ def _lowest(graph: RoadGraph, site: Site) -> float:
 
 
 def road_seen(camera: Camera, lanes: Array) -> float:
-    """Metres of lanes, given as points (N, 3) at every metre, in which cars are large enough in the image."""
+    """Return the length of lanes, metres, on which cars would be large enough in the image.
+
+    The lanes are points (N, 3), one per metre, world.
+    """
     pixels, depth, valid = camera.project(lanes)
     high = camera.K[1, 1] * CAMERA_SAMPLING.car_height_m >= CAMERA_SAMPLING.large_px * camera.height / 1080 * depth
     return float((valid & camera.inside(pixels) & high).sum())
 
 
 _TESTED_M, _TESTED_DEG = 80.0, 75.0
-"""Road belongs to a test site's camera up to this distance, and this angle to either side of where it looks."""
+"""Maximum distance (metres), and angle to either side of its axis (degrees), of road that a test camera sees."""
 
 
 def check_largest_vehicle(span: Range) -> None:
-    """UserError where a range is none of shares of an image's height, above 0 and up to 1."""
+    """Raise a UserError unless a range contains only fractions of the image height, above 0 and up to 1."""
     low, high = span
     if not 0 < low <= high <= 1:
-        raise UserError(f"largest_vehicle: expected a range of shares above 0, up to 1, got {low:g}..{high:g}")
+        raise UserError(f"largest_vehicle: expected a range above 0 and up to 1, got {low:g}..{high:g}")
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedCamera:
-    """A camera and the mast that it hangs on."""
+    """A camera and its mast."""
 
     mast: Mast
     camera: Camera
 
 
 class ViewSampler:
-    """Draws views of a town."""
+    """Sampler of views of a town."""
 
     def __init__(self, town: Town) -> None:
         self._layout = Layout.of(town)
         graph = self._layout.graph
         self._lanes = np.concatenate(list(graph.lane_points.values()))
-        """(N, 3) points of all lanes, one at every metre, world."""
+        """(N, 3) points of all lanes, one per metre, world."""
         self._tested = tested_road(town, self._lanes)
         self._starts, self._headings = self._roadside()
         self._open = graph.road.buffer(CAMERA_SAMPLING.house_distance_m)
-        """Places where no house stands."""
+        """Area that is free of houses."""
         for region in (graph.road, self._open):
             shapely.prepare(region)
 
     def _roadside(self) -> tuple[Array, Array]:
-        """Points (M, 3) of lanes on the ground that masts may stand beside, world, and headings (M,) there."""
+        """Return points (M, 3) of ground-level lanes that a mast can stand beside, world, and their headings (M,)."""
         graph, points, headings = self._layout.graph, [], []
         for edge in graph.edges_of("ground"):
             for lane in driven(edge):
@@ -241,13 +246,13 @@ class ViewSampler:
         """Draw a view.
 
         Args:
-            traffic: (F, V, 3) places of vehicles on the road in each frame, world; NaN where there is none.
-            ranges: What cameras are drawn from.
-            rng: Draws.
+            traffic: (F, V, 3) positions of vehicles on the road in each frame, world; NaN if absent.
+            ranges: Ranges that cameras are drawn from.
+            rng: Random generator.
             largest_vehicle: Range of the largest vehicle's height, as `CAMERA_SAMPLING.largest_vehicle`.
 
         Raises:
-            UserError: No camera was found that sees enough road and none of a test site's.
+            UserError: No drawn camera sees enough road without seeing that of a test site.
         """
         empty = rng.random() < CAMERA_SAMPLING.empty_share
         wanted = math.exp(rng.uniform(*np.log(largest_vehicle)))
@@ -273,8 +278,8 @@ class ViewSampler:
             found.append((view, weight))
         if not found:
             raise UserError(
-                f"of {CAMERA_SAMPLING.candidates} cameras drawn none sees "
-                f"{CAMERA_SAMPLING.least_view_road_m:.0f} m of road that is not tested on"
+                f"none of {CAMERA_SAMPLING.candidates} drawn cameras sees "
+                f"{CAMERA_SAMPLING.least_view_road_m:.0f} m of road outside the view of test sites"
             )
         weights = np.array([weight for _, weight in found])
         if not weights.any():
@@ -282,14 +287,15 @@ class ViewSampler:
         return found[int(rng.choice(len(found), p=weights / weights.sum()))][0]
 
     def vehicles_seen(self, camera: Camera, traffic: Array) -> tuple[float, float]:
-        """Mean number of vehicles that a camera sees in a frame, and the mean height of the largest among them.
+        """Compute the mean number of vehicles that a camera sees per frame, and the mean height of the largest one.
 
         Args:
             camera: The camera.
-            traffic: (F, V, 3) as `draw` takes it.
+            traffic: (F, V, 3) positions, as in `draw`.
 
         Returns:
-            The number, and the height as a share of the image's; frames in which nothing is seen do not count for it.
+            Mean number, and mean height as a fraction of the image height. Frames without visible vehicles do not count
+            for the height.
         """
         frames = traffic[:: CAMERA_SAMPLING.frame_step]
         frame, column = np.nonzero(np.isfinite(frames[..., 0]))
@@ -305,13 +311,16 @@ class ViewSampler:
         return float(seen.sum() / len(frames)), float(largest[largest > 0].mean()) if seen.any() else 0.0
 
     def road_in_the_open(self, camera: Camera) -> float:
-        """Metres of lanes in a camera's image that no house hides."""
+        """Return the length of lanes, metres, in a camera's image that no house can hide."""
         pixels, _, valid = camera.project(self._lanes)
         shown = self._lanes[valid & camera.inside(pixels)]
         return float(self._in_the_open(camera.position, shown).sum()) if len(shown) else 0.0
 
     def _in_the_open(self, eye: Array, places: Array) -> NDArray[np.bool_]:
-        """To which of the places (N, 3) no house can stand in the way: houses keep off roads, and off what is near."""
+        """Return for each of the places (N, 3) whether it is certain that no house hides it.
+
+        Houses keep clear of roads and of the camera.
+        """
         along = np.linspace(0.1, 0.9, 9)[:, None, None]
         points = eye[:2] + along * (places[:, :2] - eye[:2])
         near = np.hypot(*np.moveaxis(points - eye[:2], -1, 0)) < HOUSE_LIMITS.open_view_m
@@ -319,16 +328,17 @@ class ViewSampler:
         return np.asarray((near | shapely.contains_xy(self._open, x, y)).all(axis=0))
 
     def shows_tested_road(self, camera: Camera) -> bool:
-        """Whether a camera has road in its image that a test site's camera looks at."""
+        """Return whether a camera's image contains road that a test site's camera sees."""
         pixels, _, valid = camera.project(self._lanes[self._tested])
         return bool((valid & camera.inside(pixels)).any())
 
     def _candidate(
         self, traffic: Array, wanted: float, ranges: CameraRanges, rng: np.random.Generator
     ) -> PlacedCamera | None:
-        """A camera that looks at a vehicle or a place on the road; None where there is no room for one.
+        """Return a camera that looks at a vehicle or a point on the road; None if there is no room for it.
 
-        Where its field of view can be chosen, it is that in which a car there is about `wanted` of the image high.
+        If the field of view can be chosen, it is set so that a car at the target fills about `wanted` of the image
+        height.
         """
         spans = ranges.spans
 
@@ -337,7 +347,7 @@ class ViewSampler:
 
         height = value("height_m", 6.0)
         low, high = spans.get("pitch_deg", (10.0, 40.0))
-        # Most cameras look ahead, few look down.
+        # Most cameras look ahead; few look down.
         pitch = low + (high - low) * float(rng.beta(1.2, 2.4))
         among = traffic if len(traffic) and rng.random() < CAMERA_SAMPLING.at_vehicles_share else self._lanes
         target = among[rng.integers(len(among))]
@@ -366,20 +376,20 @@ class ViewSampler:
         return PlacedCamera(mast, moved(camera, {"roll_by_deg": value("roll_by_deg", 0.0)}, level))
 
     def _away(self, target: Array, distance: float, rng: np.random.Generator) -> Array | None:
-        """A place (3,) beside a carriageway, about as far from a place (3,) as `distance`, in metres."""
+        """Return a position (3,) beside a carriageway, about `distance` metres from the target (3,), or None."""
         away = np.hypot(*(self._starts[:, :2] - target[:2]).T)
         there = np.flatnonzero(np.abs(away - distance) < max(4.0, 0.3 * distance))
         return self._beside(int(rng.choice(there)), rng) if len(there) else None
 
     def _over(self, target: Array, distance: float, rng: np.random.Generator) -> Array | None:
-        """A place (3,) at that distance from a place (3,), over the road or before the houses, metres."""
+        """Return a position (3,) at `distance` metres from the target (3,), or None if a house could be there."""
         angle = rng.uniform(0, 2 * math.pi)
         at = target[:2] - distance * np.array([math.cos(angle), math.sin(angle)])
         free = shapely.contains_xy(self._open, *self._layout.graph.world(at))
         return np.array([*at, target[2]]) if free else None
 
     def _beside(self, start: int, rng: np.random.Generator) -> Array | None:
-        """A place (3,) beside the carriageway next to a point of `_starts`, at the road's height, world."""
+        """Return a position (3,) beside the carriageway next to a point of `_starts`, at road height, or None."""
         across = right_of(float(self._headings[start])) * (1 if rng.random() < 0.7 else -1)
         aside = float(rng.uniform(*CAMERA_SAMPLING.mast_aside_m))
         graph = self._layout.graph
@@ -393,7 +403,7 @@ class ViewSampler:
 
 
 def _apparent_height(eye: Array, places: Array) -> Array:
-    """(N,) height of a car at each of the places (N, 3) as seen from `eye` (3,), as a share of its distance."""
+    """Return the apparent heights (N,) of cars at places (N, 3) seen from `eye` (3,), as fractions of the distance."""
     away = eye - places
     distance = np.maximum(np.linalg.norm(away, axis=1), 0.1)
     steep = np.clip(away[:, 2] / distance, -1.0, 1.0)
@@ -403,7 +413,7 @@ def _apparent_height(eye: Array, places: Array) -> Array:
 
 
 def tested_road(town: Town, lanes: Array) -> NDArray[np.bool_]:
-    """Mask of those of the points (N, 3) on a town's lanes that the cameras of its test sites look at."""
+    """Return a mask (N,) of the lane points (N, 3) of a town that the cameras of its test sites look at."""
     out = np.zeros(len(lanes), dtype=bool)
     for site in sites_of(Town(town.name, town.road)):
         if site.split != "train":

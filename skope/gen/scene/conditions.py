@@ -1,5 +1,4 @@
-"""Light, air and camera of a recording: one dataclass of numbers, and the ranges that they are drawn from; the sun's
-position at a time and place on earth."""
+"""Conditions of a recording (light, air and camera), the ranges that they are drawn from, and the sun's position."""
 
 import math
 import re
@@ -18,14 +17,14 @@ SUN_EPOCH: Final = datetime(2000, 1, 1, 12, tzinfo=UTC)
 
 
 def sun_direction(when: datetime, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
-    """Direction to the sun at a time and place.
+    """Compute the direction to the sun at a time and place.
 
-    Formulas: the Astronomical Almanac's low-precision sun (0.01 degrees until 2050), without refraction.
+    Source: the low-precision formulas of the Astronomical Almanac (0.01 degrees until 2050), without refraction.
 
     Args:
-        when: The time, with its zone.
-        latitude_deg: Degrees north.
-        longitude_deg: Degrees east.
+        when: Time with its time zone.
+        latitude_deg: Latitude, degrees north.
+        longitude_deg: Longitude, degrees east.
 
     Returns:
         Elevation above the horizon and azimuth counter-clockwise from east (0 to 360), degrees.
@@ -41,7 +40,7 @@ def sun_direction(when: datetime, latitude_deg: float, longitude_deg: float) -> 
 
 
 def time_of_day(elevation_deg: float, azimuth_deg: float) -> str:
-    """The field `time_of_day` of annotations, for a position of the sun."""
+    """Return the value of the annotation field `time_of_day` for a position of the sun."""
     if elevation_deg < 0:
         return "night"
     if elevation_deg < 10:
@@ -50,7 +49,7 @@ def time_of_day(elevation_deg: float, azimuth_deg: float) -> str:
 
 
 def declination_deg(day: float) -> float:
-    """Latitude over which the sun stands on a day of the year (1 is the first of January), within 0.1 degrees."""
+    """Return the declination of the sun on a day of the year (1 is 1 January), accurate to 0.1 degrees."""
     g = 2 * math.pi * (day - 1) / 365
     return math.degrees(
         0.006918
@@ -64,22 +63,22 @@ def declination_deg(day: float) -> float:
 
 
 def sun_position(latitude_deg: float, day: float, hour: float) -> tuple[float, float]:
-    """Direction to the sun on a day of the year, without refraction.
+    """Compute the direction to the sun on a day of the year, without refraction.
 
     Args:
-        latitude_deg: Degrees north.
+        latitude_deg: Latitude, degrees north.
         day: Day of the year, from 1.
-        hour: Local solar time: the sun crosses the meridian at 12.
+        hour: Local solar time, hours; the sun crosses the meridian at 12.
 
     Returns:
-        Elevation over the horizon and azimuth counter-clockwise from east (0..360), degrees.
+        Elevation above the horizon and azimuth counter-clockwise from east (0 to 360), degrees.
     """
     declination = math.radians(declination_deg(day + (hour - 12) / 24))
     return _over_horizon(math.radians(latitude_deg), declination, math.radians(15 * (hour - 12)))
 
 
 def _over_horizon(latitude: float, declination: float, turned: float) -> tuple[float, float]:
-    """Elevation and azimuth, degrees, of what stands over a latitude `turned` past the meridian; all radians."""
+    """Return elevation and azimuth of the sun, degrees; the arguments (`turned`: hour angle) are in radians."""
     up = math.sin(latitude) * math.sin(declination) + math.cos(latitude) * math.cos(declination) * math.cos(turned)
     east = -math.cos(declination) * math.sin(turned)
     north = math.cos(latitude) * math.sin(declination) - math.sin(latitude) * math.cos(declination) * math.cos(turned)
@@ -88,93 +87,94 @@ def _over_horizon(latitude: float, declination: float, turned: float) -> tuple[f
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """Conditions of a recording: light, weather, lens and sensor. The defaults are a dry street and a plain camera."""
+    """Conditions of a recording: light, weather, lens and sensor. The defaults are a dry road and a plain camera."""
 
     sun_elevation_deg: float
-    """Height of the sun above the horizon."""
+    """Elevation of the sun above the horizon, degrees."""
     sun_azimuth_deg: float
-    """Direction of the sun, counter-clockwise from east."""
+    """Direction of the sun, degrees counter-clockwise from east."""
     latitude_deg: float = 45.0
-    """North of the equator."""
+    """Latitude, degrees north of the equator."""
     day: float = 172.0
-    """Day of the year; 1 is the first of January."""
+    """Day of the year; 1 is 1 January."""
     hour: float = 12.0
-    """Local solar time when the recording begins."""
+    """Local solar time at the start of the recording, hours."""
     clouds: float
-    """Share of the sky that they cover, 0 to 1."""
+    """Cloud cover: fraction of the sky covered by clouds, 0 to 1."""
     visibility_m: float
-    """Meteorological optical range: the distance at which contrast has fallen to 5%."""
+    """Meteorological optical range: distance at which contrast has fallen to 5%, metres."""
     rain_mm_h: float = 0.0
-    """Rain that falls."""
+    """Rainfall rate, mm/h."""
     wetness: float = 0.0
     """Wetness of the ground, from 0 (dry) to 1 (a closed film of water)."""
     puddles: float = 0.0
-    """Share of wet ground that water stands on."""
+    """Fraction of the wet ground that is covered by puddles, 0 to 1."""
     street_lighting: float = 1.0
-    """Brightness of the street lights, which burn when it is dark; 0 where they are off."""
+    """Relative brightness of the street lights, which are lit when it is dark; 0 for off."""
     street_light_k: float = 3000.0
-    """Colour temperature of the street lights."""
+    """Colour temperature of the street lights, kelvins."""
     lit_windows: float = 0.3
-    """Share of rooms that are lit when it is dark."""
+    """Fraction of the rooms that are lit when it is dark, 0 to 1."""
     exposure_ev: float
-    """Stops by which a picture is brighter than an automatic exposure would make it."""
+    """Exposure compensation relative to automatic exposure, stops; positive values brighten the image."""
     white_balance_k: float = 6500.0
-    """Colour temperature of the light that the camera shows white."""
+    """Colour temperature of the light that the camera renders as white, kelvins."""
     shutter_s: float = 0.001
-    """Time that a frame is exposed; the image is of its middle."""
+    """Exposure time of a frame, seconds; the image shows the middle of the exposure."""
     gain_db: float = 0.0
-    """Amplification of the sensor's signal, and of its noise."""
+    """Gain of the sensor, decibels; it amplifies the signal and the noise."""
     noise: float
-    """Standard deviation of the sensor's noise without gain, of 255."""
+    """Standard deviation of the sensor noise without gain, in grey levels (0 to 255)."""
     infrared: float = 0.0
-    """1 for a grey picture by the camera's own infrared lamp, when it is dark."""
+    """1 for a grey image lit by the camera's own infrared lamp when it is dark, 0 for none."""
     vignetting: float
-    """Share of the light that is lost 45 degrees off the optical axis."""
+    """Fraction of the light that is lost at 45 degrees from the optical axis."""
     k1: float
-    """First radial coefficient of the lens' distortion (OpenCV's models): negative for a barrel, 0 for none."""
+    """First radial coefficient of the lens distortion (OpenCV models); negative for barrel distortion, 0 for none."""
     fisheye: float = 0.0
-    """1 for a fisheye lens, equidistant but for k1; 0 for one of the brown model."""
+    """1 for a fisheye lens (equidistant, except for k1), 0 for a lens of the Brown model."""
     screen_text: float = 0.0
-    """1 for the site's name, date and time burned into the picture."""
+    """1 to overlay the site's name, the date and the time on the image, 0 for no text."""
     rescale: float = 1.0
-    """Resolution of the stream, as a share of the image's."""
+    """Resolution of the video stream, as a fraction of the image's resolution."""
     compression_quality: float = 100.0
-    """JPEG quality that the stream was compressed with; 100 for none."""
+    """JPEG quality of the compressed stream; 100 for no compression."""
     contrast: float = 1.0
-    """Factor on differences from middle grey."""
+    """Factor on deviations from middle grey."""
     black_level: float = 0.0
-    """Value of the picture where no light falls, of 255."""
+    """Grey level (0 to 255) of image areas that receive no light."""
     saturation: float = 1.0
-    """Factor on the strength of colours."""
+    """Factor on the saturation of colours."""
     sharpening: float = 0.0
-    """Share of the finest detail that the camera adds to its picture once more."""
+    """Strength of the camera's sharpening: fraction of the finest detail that is added to the image."""
     glare: float = 1.0
-    """Light that lens and sensor spread around lamps, in amounts of a good lens."""
+    """Light that lens and sensor spread around lamps, relative to a good lens."""
     street_lights_lit: float = 1.0
-    """Share of the street lights that burn when it is dark; the others leave stretches without light."""
+    """Fraction of the street lights that are lit when it is dark; the others leave unlit stretches."""
     snowfall_mm_h: float = 0.0
-    """Snow that falls, as water."""
+    """Snowfall rate as liquid water, mm/h."""
     snow_cover: float = 0.0
-    """Share of level ground that snow lies on; carriageways have less of it."""
+    """Fraction of level ground covered by snow, 0 to 1; carriageways have less."""
     spray: float = 0.0
-    """Spray behind vehicles on a wet road; 1 for that of a closed film of water."""
+    """Amount of spray behind vehicles on a wet road; 1 is the spray from a closed film of water."""
     screen_graphics: float = 0.0
-    """Number of logos, letters, clocks, arrows and the like that are drawn into the picture."""
+    """Number of graphics (logos, letters, clocks, arrows) that are overlaid on the image."""
     short_exposure: float = 0.0
-    """Share at night of a second, short exposure in the picture, which shows moving vehicles sharp at the end of their
-    smear; 0 for a camera that takes one exposure."""
+    """Weight at night of a second, short exposure in the image, 0 to 1; 0 for a single exposure.
+
+    The short exposure shows moving vehicles sharply at the end of their motion blur."""
     denoising: float = 0.0
-    """Strength at night of the camera's denoising, from 0 (none) to 1 (texture is gone)."""
+    """Strength of the camera's denoising at night, from 0 (none) to 1 (no texture left)."""
     auto_white_balance: float = 0.0
-    """Share at night of the street lights' colour that the camera takes out of the road; 1 or more: all of it."""
+    """Fraction of the street lights' colour on the road that white balance removes at night; from 1 all of it."""
     lens_dirt: float = 0.0
-    """Dirt and dried drops on the glass before the lens, from 0 (clean) to 1 (much of the picture is soft)."""
+    """Dirt and dried drops on the glass in front of the lens, from 0 (clean) to 1 (much of the image is blurred)."""
 
     @classmethod
     def drawn(cls, ranges: Mapping[str, Range], rng: np.random.Generator) -> Self:
-        """Draw each field evenly from its range, rounded so that the values can be written down and set again.
+        """Draw each field uniformly from its range, rounded so that the values can be written and set again exactly.
 
-        Without ranges for the sun, its position follows from latitude, day and hour.
+        If `ranges` has no sun, its position follows from latitude, day and hour.
         """
         names = [f.name for f in fields(cls) if f.name in ranges]
         values = {name: _rounded(name, rng.uniform(*ranges[name])) for name in names}
@@ -185,7 +185,7 @@ class Conditions:
 
     @property
     def distortion(self) -> Distortion | None:
-        """The lens' distortion; None for a pinhole camera."""
+        """Lens distortion; None for a pinhole camera."""
         if self.fisheye:
             return Distortion("fisheye", (self.k1, 0.0, 0.0, 0.0))
         return Distortion("brown", (self.k1, 0.0, 0.0, 0.0)) if self.k1 else None
@@ -199,9 +199,9 @@ def _rounded(name: str, value: float) -> float:
 
 
 OVERCAST_CLOUDS: Final = 0.9
-"""Cloud cover above which nothing throws a shadow."""
+"""Cloud cover above which no object casts a shadow."""
 DARK_DEG: Final = 1.0
-"""Sun's elevation below which street lights and windows are lit, degrees."""
+"""Elevation of the sun below which street lights and windows are lit, degrees."""
 CONDITION_LIMITS: Final[Mapping[str, Range]] = {
     "sun_elevation_deg": (-90.0, 90.0),
     "sun_azimuth_deg": (0.0, 360.0),
@@ -243,7 +243,7 @@ CONDITION_LIMITS: Final[Mapping[str, Range]] = {
     "auto_white_balance": (0.0, 2.0),
     "lens_dirt": (0.0, 1.0),
 }
-"""Least and greatest value of each condition that can be set."""
+"""Minimum and maximum of each condition that can be set."""
 SUN_FIELDS: Final = ("sun_elevation_deg", "sun_azimuth_deg")
 CLOCK_FIELDS: Final = ("latitude_deg", "day", "hour")
 _WHOLE_NUMBERED: Final = ("day", "infrared", "screen_text", "screen_graphics", "fisheye")
@@ -357,16 +357,16 @@ TIMES_OF_DAY: Final = tuple(HOUR_RANGES)
 
 
 def ranges(weather: str, time_of_day: str, overrides: Mapping[str, Range] | None = None) -> dict[str, Range]:
-    """Ranges of the conditions in a weather at an hour.
+    """Return the ranges of all conditions for a weather and an hour.
 
     Args:
-        weather: One of the weathers of the table, such as "clear".
-        time_of_day: One of the hours of the table, such as "noon".
-        overrides: Ranges to use instead. Where they set latitude, day or hour but not the sun, the result has no
-            range for the sun, whose position then follows from them.
+        weather: Weather from the table, such as "clear".
+        time_of_day: Hour from the table, such as "noon".
+        overrides: Ranges to use instead. If they set latitude, day or hour but not the sun, the result has no range for
+            the sun. Its position then follows from them.
 
     Raises:
-        UserError: There is no such weather or hour.
+        UserError: The weather or the hour is unknown.
     """
     own = overrides or {}
     spans = {
@@ -384,7 +384,7 @@ SETTING_PATTERN: Final = re.compile(r"(\w+)=(.+?)(?:\.\.(.+))?")
 
 
 def parse_settings(settings: list[str]) -> dict[str, Range]:
-    """Ranges from flags like "noise=2" or "exposure_ev=-1..1"; a wrong one is a UserError that names it."""
+    """Parse flags like "noise=2" or "exposure_ev=-1..1"; raise a UserError that names an invalid one."""
     out = {}
     for setting in settings:
         match = SETTING_PATTERN.fullmatch(setting)
@@ -398,7 +398,7 @@ def parse_settings(settings: list[str]) -> dict[str, Range]:
 
 
 def check_settings(settings: Mapping[str, Range]) -> dict[str, Range]:
-    """The settings, when each is a known field's and within what that can be."""
+    """Return the settings if every field is known and within its limits; raise a UserError otherwise."""
     for name, (low, high) in settings.items():
         least, most = CONDITION_LIMITS[one_of("--set", name, tuple(CONDITION_LIMITS))]
         if not (math.isfinite(low) and math.isfinite(high) and least <= low <= high <= most):

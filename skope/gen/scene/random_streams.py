@@ -1,7 +1,7 @@
-"""Named streams of random numbers, one for each thing that is drawn for a recording.
+"""Named streams of random numbers, one for each quantity that is drawn for a recording.
 
-A draw depends on the dataset's seed, the recording's site and number and on what is drawn, and on nothing else, so that
-one more draw for one thing leaves all others as they are.
+A draw depends only on the dataset's seed, the recording's site and index, and the drawn quantity. An additional draw
+for one quantity therefore leaves all others unchanged.
 """
 
 import zlib
@@ -12,52 +12,52 @@ import numpy as np
 
 
 class Stream(Enum):
-    """The random streams of a recording: one for each thing that is drawn."""
+    """Random streams of a recording, one for each drawn quantity."""
 
     TRAFFIC = auto()
-    """Time that traffic runs before the recording, SUMO's seed, and which vehicles drive where."""
+    """Warm-up time of the traffic before the recording, SUMO's seed, and the route of each vehicle."""
     PEDESTRIANS = auto()
     CROWDS = auto()
-    """Pedestrians who are labelled, in place of `PEDESTRIANS`."""
+    """Labelled pedestrians; used instead of `PEDESTRIANS`."""
     RIDERS = auto()
-    """Share of those driving by who ride on two wheels, where riders are labelled."""
+    """Fraction of the traffic on two wheels, if riders are labelled."""
     TRAFFIC_SHARE = auto()
-    """Traffic of a recording, as a share of its site's."""
+    """Traffic of a recording, as a fraction of its site's traffic."""
     HEAVY_SHARE = auto()
-    """Share of lorries and buses in a traffic."""
+    """Fraction of lorries and buses in the traffic."""
     PARKED_VEHICLES = auto()
     CONDITIONS = auto()
     """Weather, light, lens and sensor."""
     ASKED_LIGHT = auto()
-    """The one of the weathers and hours that were asked for with which a site begins."""
+    """Index of the first of the requested weathers and hours that a site uses."""
     CAMERA = auto()
-    """Pose of the camera, where it is not the site's own."""
+    """Pose of the camera, if it is not the site's own."""
     VARIANT = auto()
-    """Scenery of a simulation's town, where it is grown anew."""
+    """Scenery of a simulation's town, if it is drawn anew."""
     DISTRACTORS = auto()
-    """Number of things around the cameras that resemble vehicles."""
+    """Number of objects around the cameras that resemble vehicles."""
     LIT_OBJECTS = auto()
-    """Number of things around the cameras that burn or shine at night."""
+    """Number of burning or luminous objects around the cameras at night."""
     SEASON = auto()
     RANDOMISED = auto()
-    """Whether ground and walls have random colours and patterns, and which."""
+    """Whether ground and walls have random colours and patterns, and which ones."""
     PAINT = auto()
-    """The paint of a vehicle before a camera that shares its traffic with others; takes the CRC-32 of the name."""
+    """Paint of a vehicle in a recording that shares its traffic with others; takes the CRC-32 of its name."""
     SHAPE = auto()
-    """One of the shapes that a dataset with views has of a model; in place of the site stands the model's name."""
+    """Shape of a model in a dataset with views; seeded with the model's name instead of the site's."""
     ROAD_USER = auto()
-    """The shape of a vehicle or the look of a rider; takes the CRC-32 of the name."""
+    """Shape of a vehicle or appearance of a rider; takes the CRC-32 of its name."""
     RAIN = auto()
-    """Slant of a recording's rain by the wind."""
+    """Slant of the rain in the wind, per recording."""
     RAIN_IN_FRAME = auto()
-    """Takes the frame."""
+    """Raindrops of a frame; takes the frame."""
     DROPS_ON_GLASS = auto()
     LENS_DIRT = auto()
     SCREEN_GRAPHICS = auto()
     PLACE_NAMES = auto()
-    """Names of places that an operator draws into the pictures."""
+    """Place names that an operator overlays on the images."""
     SENSOR_NOISE = auto()
-    """Takes the frame."""
+    """Sensor noise of a frame; takes the frame."""
 
 
 _STREAM_NUMBERS: Final[dict[Stream, tuple[int, ...]]] = {
@@ -96,18 +96,18 @@ _IN_PICTURES: Final = (
     Stream.PLACE_NAMES,
     Stream.SENSOR_NOISE,
 )
-"""Streams that are seeded with the letters of the site's name; the others are seeded with its CRC-32."""
+"""Streams that are seeded with the letters of the site's name; all others are seeded with its CRC-32."""
 
 
 def rng(seed: int, site: str, recording: int, stream: Stream, *which: int) -> np.random.Generator:
-    """The generator of a named stream of a recording.
+    """Return the generator of a named stream of a recording.
 
     Args:
         seed: Seed of the dataset.
         site: Name of the site.
-        recording: Number of the recording at the site.
-        stream: What is drawn.
-        which: What the stream takes besides, as the number of a vehicle.
+        recording: Index of the recording at the site.
+        stream: Quantity to draw.
+        which: Further arguments of the stream, such as the number of a vehicle.
     """
     place = site.encode() if stream in _IN_PICTURES else (zlib.crc32(site.encode()),)
     return np.random.default_rng([seed, *place, recording, *_STREAM_NUMBERS[stream], *which])

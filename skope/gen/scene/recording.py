@@ -1,7 +1,7 @@
-"""A recording: everything that happened before one camera, so that a rendered frame depends on nothing else.
+"""Recordings: the states of all road users near one camera, and everything else that a rendered frame depends on.
 
-One small .npz file: a JSON header (camera, light, vehicles, versions) and float64 arrays of poses. Equal recordings
-have equal bytes.
+A recording is one small .npz file: a JSON header (camera, light, vehicles, versions) and float64 arrays of poses. Equal
+recordings have equal bytes.
 """
 
 import io
@@ -31,16 +31,16 @@ from skope.gen.vehicles.model import Body, Vehicle
 from skope.types import Array
 
 SHAPES_PER_MODEL: Final = 24
-"""Shapes that a dataset with views has of each model: building them must not take longer than drawing them."""
+"""Number of shapes per model in a dataset with views; limited so that building shapes takes less time than drawing."""
 LAMP_BITS: Final = {"low_beam": 1, "brake": 2, "indicator_left": 4, "indicator_right": 8, "reverse": 16}
-"""The bit of each lamp in the number that says which of a vehicle's lamps are lit."""
+"""Bit of each lamp in the number that encodes which lamps of a vehicle are lit."""
 RECORDING_VERSION: Final = 3
 """Version of the file format of recordings."""
 
 
 @dataclass(frozen=True)
 class RecordingInfo:
-    """Site, name, split and number of frames of a recording, as the dataset's card lists them under "takes"."""
+    """Site, name, split and number of frames of a recording; dataset cards list them under "takes"."""
 
     site: str
     name: str
@@ -48,35 +48,35 @@ class RecordingInfo:
     frames: int
 
     def frame_name(self, frame: int) -> str:
-        """<site>/<recording>_<frame>: name of a frame's image, depth and label files, without suffix."""
+        """Return <site>/<recording>_<frame>: the name of a frame's image, depth and label files, without suffix."""
         return f"{self.site}/{self.name}_{frame:06d}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingPlan:
-    """Everything that decides a recording's content, its seed included."""
+    """Everything that determines a recording's content, including its seed."""
 
     site: Site
     index: int
-    """Its number among the site's recordings, from 0."""
+    """Index among the site's recordings, from 0."""
     frames: int
     interval: float
     """Seconds between frames, a multiple of 0.005."""
     size: tuple[int, int]
     """Width and height of the images, pixels."""
     fov_deg: float
-    """Horizontal field of view of the site's camera; a user's own camera has its own."""
+    """Horizontal field of view of the site's camera, degrees; not used for a user's own camera."""
     seed: int
     variation: Variation = field(default_factory=Variation)
-    """Things that are drawn for it, and their ranges."""
+    """Quantities that are drawn for this recording, and their ranges."""
     vehicles: tuple[str, ...] = ()
-    """Models that were asked for, of the user (`skope gen vehicles add`) or of the fleet."""
+    """Requested models: added by the user (`skope gen vehicles add`) or from the fleet."""
     vehicle_share: float | None = None
-    """Share of the traffic that `vehicles` make together; None for a tenth of the fleet's number each."""
+    """Combined traffic share of all `vehicles`, 0 to 1; None for one vehicle of each model per ten of the fleet."""
 
     @property
     def leader(self) -> int:
-        """Number of the first of the recordings that share this one's traffic."""
+        """Index of the first recording that shares the traffic of this one."""
         return self.index - self.index % views if (views := self.variation.views) else self.index
 
     @property
@@ -85,43 +85,45 @@ class RecordingPlan:
         return RecordingInfo(self.site.name, f"{self.index:02d}", self.site.split, self.frames)
 
     def rng(self, stream: Stream, *which: int) -> np.random.Generator:
-        """The generator of one of this recording's streams; `which` is what the stream takes."""
+        """Return the generator of one of this recording's streams; `which` holds the stream's own arguments."""
         return rng(self.seed, self.site.name, self.index, stream, *which)
 
     def shared_rng(self, stream: Stream, *which: int) -> np.random.Generator:
-        """The generator of a stream that recordings with one traffic have in common."""
+        """Return the generator of a stream that all recordings with the same traffic share."""
         return rng(self.seed, self.site.name, self.leader, stream, *which)
 
     def shape_rng(self, name: str, model: str) -> np.random.Generator:
-        """The generator of a vehicle's shape: its own, or, with views, that of one of the model's
-        `SHAPES_PER_MODEL`."""
+        """Return the generator of a vehicle's shape.
+
+        Without views, each vehicle has its own. With views, it has one of the `SHAPES_PER_MODEL` of its model.
+        """
         if not self.variation.views:
             return self.rng_of(name)
         return rng(self.seed, model, zlib.crc32(name.encode()) % SHAPES_PER_MODEL, Stream.SHAPE)
 
     def rng_of(self, name: str) -> np.random.Generator:
-        """The random generator of the vehicle or rider of that name."""
+        """Return the random generator of the named vehicle or rider."""
         return self.shared_rng(Stream.ROAD_USER, zlib.crc32(name.encode()))
 
 
 @dataclass(frozen=True)
 class RecordedVehicle:
-    """Constant properties of a road user through a recording: a vehicle, or a bystander."""
+    """Constant properties of a road user (vehicle or bystander) during a recording."""
 
     track_id: int
     model: str
     """Model of a vehicle; kind of a bystander ("pedestrian", "cyclist", "motorcyclist")."""
     shape: Mapping[str, float]
-    """Dimensions of a vehicle, or numbers of a bystander's `Look`."""
+    """Dimensions of a vehicle, or the numeric fields of a bystander's `Look`."""
     color: str
     """Name of a vehicle's paint."""
     parked: bool = False
     labelled: bool = True
-    """Whether it is a vehicle; False for bystanders, people on foot and on two wheels, who come after the vehicles and
-    have labels of their own where `Recording.road_users` says so."""
+    """True for vehicles, False for bystanders (pedestrians and riders of two-wheelers).
+
+    Bystanders follow the vehicles and have labels of their own if `Recording.road_users` is set."""
     recurs: bool = False
-    """Whether other recordings of the dataset have vehicles of exactly this shape, drawn at random (see
-    `SHAPES_PER_MODEL`)."""
+    """Whether other recordings can have vehicles of exactly this random shape (see `SHAPES_PER_MODEL`)."""
 
     def __post_init__(self) -> None:
         safe_names.name("model", self.model)
@@ -129,7 +131,7 @@ class RecordedVehicle:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """One frame: the state of N road users near the camera, vehicles first, then bystanders."""
+    """State of the N road users near the camera in one frame; vehicles first, then bystanders."""
 
     time_s: float
     vehicles: tuple[RecordedVehicle, ...]
@@ -137,27 +139,30 @@ class Moment:
     """(N, 4, 4) pose of each vehicle frame in the world."""
     T_world_wheels: Array
     """(N, 4, 4, 4) poses of the wheels: front right, front left, rear right, rear left; y is the axle, pointing left.
-    A bystander's four moving parts take their place."""
+
+    For a bystander, the poses of its first four moving parts."""
     velocity: Array
-    """(N, 3) world, m/s."""
+    """(N, 3) velocity in the world, m/s."""
     lamps: NDArray[np.uint8]
-    """(N,) lamps that are lit, as bits of `skope.gen.scene.recording.LAMP_BITS`."""
+    """(N,) lit lamps, as bits of `skope.gen.scene.recording.LAMP_BITS`."""
     signals: Mapping[str, str]
-    """SUMO's state string of each signal program."""
+    """SUMO state string of each signal program."""
     T_world_trailer: Array
-    """(N, 3, 4, 4) poses of the trailer of an articulated vehicle and of its wheels rear right, rear left (see
-    `skope.gen.vehicles.model.Trailer`), or of three more moving parts of a bystander; the identity for others."""
+    """(N, 3, 4, 4) poses of an articulated vehicle's trailer, its rear right wheel and its rear left wheel.
+
+    See `skope.gen.vehicles.model.Trailer`. For a bystander, the poses of three more moving parts; for all other road
+    users, the identity."""
 
     def part_poses(self, i: int) -> Array:
-        """(8, 4, 4) poses of the parts of the i-th road user (see `skope.gen.vehicles.model.Body`)."""
+        """Return the (8, 4, 4) poses of the parts of the i-th road user (see `skope.gen.vehicles.model.Body`)."""
         return np.concatenate([self.T_world_chassis[i][None], self.T_world_wheels[i], self.T_world_trailer[i]])
 
     def labelled(self) -> "Moment":
-        """The same moment without bystanders."""
+        """Return the same moment without bystanders."""
         return self.only(range(sum(vehicle.labelled for vehicle in self.vehicles)))
 
     def only(self, chosen: Sequence[int]) -> "Moment":
-        """The same moment with some of its road users, by index."""
+        """Return the same moment with only the road users at the given indices."""
         rows = np.array(chosen, dtype=np.intp)
         poses = (self.T_world_chassis[rows], self.T_world_wheels[rows], self.velocity[rows], self.lamps[rows])
         vehicles = tuple(self.vehicles[i] for i in chosen)
@@ -166,7 +171,7 @@ class Moment:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Recording:
-    """The events before one camera: F frames, with R rows of a road user in a frame each."""
+    """States of the road users near one camera: F frames and R rows, one row per road user and frame."""
 
     town: Town
     site: str
@@ -180,27 +185,29 @@ class Recording:
     versions: Mapping[str, str]
     vehicles: tuple[RecordedVehicle, ...]
     times_s: Array
-    """(F,) seconds since the recording began."""
+    """(F,) time since the start of the recording, seconds."""
     signals: tuple[Mapping[str, str], ...]
-    """SUMO's state strings of the signal programs in each frame."""
+    """SUMO state strings of the signal programs in each frame."""
     frame: NDArray[np.int32]
-    """(R,) frame of each row, rising."""
+    """(R,) frame of each row, in ascending order."""
     vehicle: NDArray[np.int32]
-    """(R,) index into `vehicles` of each row."""
+    """(R,) index into `vehicles` for each row."""
     T_world_chassis: Array
     """(R, 4, 4) pose of the vehicle frame, as in `Moment`."""
     T_world_wheels: Array
     """(R, 4, 4, 4) poses of wheels or moving parts, as in `Moment`."""
     velocity: Array
-    """(R, 3) world, m/s."""
+    """(R, 3) velocity in the world, m/s."""
     lamps: NDArray[np.uint8]
-    """(R,) lamps that are lit, as bits of `skope.gen.scene.recording.LAMP_BITS`."""
+    """(R,) lit lamps, as bits of `skope.gen.scene.recording.LAMP_BITS`."""
     T_world_trailer: Array | None = None
-    """(R, 3, 4, 4) poses of a trailer and its wheels, as in `Moment`. Default: no vehicle has one."""
+    """(R, 3, 4, 4) poses of a trailer and its wheels, as in `Moment`; None if no vehicle has a trailer."""
     photograph: NDArray[np.uint8] | None = None
-    """(H, W, 3) RGB of the empty road as the camera sees it, in place of scenery. Default: that of the user's road."""
+    """(H, W, 3) RGB photograph of the empty road from the camera, used instead of scenery.
+
+    Default: the photograph of the user's road, if it has one."""
     road_users: bool = False
-    """Whether bystanders are labelled too, in categories of their own."""
+    """Whether bystanders are also labelled, in their own categories."""
 
     def __post_init__(self) -> None:
         safe_names.name("town", self.town.name)
@@ -215,11 +222,11 @@ class Recording:
         return len(self.times_s)
 
     def rng(self, stream: Stream, *which: int) -> np.random.Generator:
-        """The generator of one of this recording's streams; `which` is what the stream takes."""
+        """Return the generator of one of this recording's streams; `which` holds the stream's own arguments."""
         return rng(self.seed, self.site, int(self.name), stream, *which)
 
     def moment(self, frame: int) -> Moment:
-        """The state at a frame."""
+        """Return the state in a frame."""
         rows = slice(*np.searchsorted(self.frame, [frame, frame + 1]))
         return Moment(
             float(self.times_s[frame]),
@@ -244,7 +251,7 @@ class Recording:
         return RecordingInfo(self.site, self.name, self.split, len(self))
 
     def starts_like(self, other: "Recording") -> bool:
-        """Whether the first frames are exactly those of `other`, a recording that is not longer."""
+        """Return whether the first frames are identical to `other`, which must not be longer."""
         same = ("town", *HEADER_FIELDS, "conditions", "photograph", "road_users")
         rows = len(other.frame)
         return (
@@ -263,19 +270,19 @@ class Recording:
 _ROW_FIELDS: Final = ("frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
 ARRAY_NAMES: Final = ("times_s", *_ROW_FIELDS)
 TRAILER_ARRAY: Final = "T_world_trailer"
-"""The array that only files with an articulated vehicle have, or with a bystander of more than four moving parts."""
+"""Array that only files with an articulated vehicle, or a bystander with more than four moving parts, contain."""
 _FILE_FIELDS: Final = ("network", "photograph")
 """Fields of `OwnRoad` that are stored as bytes."""
 HEADER_FIELDS: Final = ("site", "name", "split", "weather", "time_of_day", "seed", "versions")
 
 
 def save(path: Path, recording: Recording) -> None:
-    """Write a recording to a .npz file, whole or not at all."""
+    """Write a recording to a .npz file atomically."""
     write_bytes(path, packed_recording(recording))
 
 
 def packed_recording(recording: Recording) -> bytes:
-    """The bytes of a recording's .npz file; equal recordings have equal bytes."""
+    """Return the bytes of a recording's .npz file; equal recordings have equal bytes."""
     header = {
         "version": RECORDING_VERSION,
         "town": recording.town.name,
@@ -300,31 +307,31 @@ def packed_recording(recording: Recording) -> bytes:
 
 
 def _smallest(values: Any) -> Any:
-    """Poses of 24 bits in half of the bytes; others as they are."""
+    """Return float64 poses as float32 if that loses nothing; other arrays unchanged."""
     short = values.astype(np.float32) if values.dtype == np.float64 and values.ndim > 1 else values
     return short if np.array_equal(short, values) else values
 
 
 def length(path: Path) -> int:
-    """Number of frames of the recording at a path; 0 for a broken file."""
+    """Return the number of frames of the recording at a path; 0 for a damaged file."""
     try:
         with np.load(path, allow_pickle=False) as file:
             return len(file["times_s"])
-    except Exception:  # zip, header and array errors of a damaged file come in a dozen types
+    except Exception:  # damaged files raise a dozen types of zip, header and array errors
         return 0
 
 
 def sound(path: Path) -> bool:
-    """Whether the recording's file at a path is whole, by the checksums of its members."""
+    """Return whether the checksums of all members of a recording's file are correct."""
     try:
         with zipfile.ZipFile(path) as file:
             return file.testzip() is None
-    except Exception:  # zip errors of a damaged file come in a dozen types
+    except Exception:  # damaged files raise a dozen types of zip errors
         return False
 
 
 def load(path: Path) -> Recording:
-    """Read a recording; a UserError for a broken file or one of another version."""
+    """Read a recording; raise a UserError if the file is damaged or of another version."""
     return unpacked_recording(read_bytes(path), path)
 
 
@@ -332,11 +339,11 @@ def unpacked_recording(data: bytes, path: Path) -> Recording:
     """Read a recording from the bytes of its file.
 
     Args:
-        data: What `packed` returned.
-        path: What error messages call it.
+        data: The bytes that `packed_recording` returned.
+        path: Path that error messages name.
 
     Raises:
-        UserError: The bytes are damaged, or of another version, or name a town that is not in the package.
+        UserError: The bytes are damaged, have another version, or name a town that is not in the package.
     """
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
@@ -353,7 +360,7 @@ def unpacked_recording(data: bytes, path: Path) -> Recording:
         return recording
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
-    except Exception as error:  # zip, header and array errors of a damaged file come in a dozen types
+    except Exception as error:  # damaged files raise a dozen types of zip, header and array errors
         raise UserError(f"{path}: not a readable recording: {error}") from None
 
 
@@ -374,7 +381,7 @@ def _variant_of(row: Mapping[str, Any] | None) -> Variant | None:
 
 
 def _recording_of(header: Mapping[str, Any], file: Mapping[str, Any]) -> Recording:
-    """Put a recording together from the header and the arrays of its file."""
+    """Build a recording from the header and the arrays of its file."""
     own = header.get("place")
     road = OwnRoad.of(own, *(file[name].tobytes() for name in _FILE_FIELDS)) if own else None
     return Recording(
@@ -391,10 +398,10 @@ def _recording_of(header: Mapping[str, Any], file: Mapping[str, Any]) -> Recordi
 
 
 def body_of(recorded: RecordedVehicle) -> Body:
-    """The body of a road user; equal ones are built once."""
+    """Return the body of a road user; equal bodies are built once."""
     return vehicle_body(recorded) if recorded.labelled else bystander.build_bystander(recorded.model, recorded.shape)
 
 
 def vehicle_body(recorded: RecordedVehicle) -> Vehicle:
-    """The body of a labelled road user; equal ones are built once."""
+    """Return the body of a labelled road user; equal bodies are built once."""
     return build_vehicle(recorded.model, recorded.shape, recurs=recorded.recurs)

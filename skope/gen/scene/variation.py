@@ -1,4 +1,4 @@
-"""What varies between the recordings of a dataset."""
+"""Settings for what varies between the recordings of a dataset."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,41 +8,45 @@ from skope.types import Range
 
 @dataclass(frozen=True, kw_only=True)
 class Variation:
-    """Things that are drawn at random for each recording, and their ranges; by default, as few as can be.
+    """Quantities that are drawn at random for each recording, and their ranges; by default almost nothing varies.
 
-    A dataset has one, `Parameters.variation`, and so has each of its recordings, `RecordingPlan.variation`. Cards of
-    datasets name the fields among the parameters.
+    `Parameters.variation` holds the variation of a dataset, and `RecordingPlan.variation` that of one recording.
+    Dataset cards list these fields among the parameters.
     """
 
     settings: Mapping[str, Range] = field(default_factory=dict)
-    """Ranges of conditions that `--set` or the preset gives; the others follow each site's weather and hour."""
+    """Ranges of conditions set by `--set` or the preset; all other conditions follow each site's weather and hour."""
     night: Mapping[str, Range] = field(default_factory=dict)
-    """Ranges of conditions that the preset gives at night in place of those of `settings`; `--set` goes before both."""
+    """Ranges of conditions that the preset uses at night instead of those in `settings`; `--set` overrides both."""
     cameras: Mapping[str, Range] = field(default_factory=dict)
-    """Ranges that each recording's camera is drawn from, by the names of
-    `skope.gen.scene.camera_sampling.CAMERA_LIMITS`; empty to use the sites' own cameras."""
+    """Ranges from which each recording's camera is drawn, keyed as in `skope.gen.scene.camera_sampling.CAMERA_LIMITS`;
+    empty to use the sites' own cameras."""
     shape_jitter: bool = False
-    """Whether each vehicle gets a shape of its own near its model's."""
+    """Whether each vehicle gets a random shape close to that of its model."""
     views: int = 0
-    """Number of recordings in a row that share one simulated traffic, each with a camera at another corner of the town;
-    0 where cameras hang at their sites and each recording has its own traffic. Only sites for training have views:
-    plans of other sites have 0 whatever the dataset has."""
+    """Number of consecutive recordings that share one simulated traffic, each with a camera elsewhere in the town.
+
+    0 means that cameras hang at their sites and each recording has its own traffic. Only training sites have views;
+    plans of other sites always have 0."""
     largest_vehicle: Range | None = None
-    """Range of the height of the largest vehicle that a view's camera sees, as a share of the image's; None for
-    the field `largest_vehicle` of `skope.gen.scene.camera_sampling.CAMERA_SAMPLING`."""
+    """Range of the height of the largest vehicle that a view's camera sees, as a fraction of the image height.
+
+    None uses `largest_vehicle` of `skope.gen.scene.camera_sampling.CAMERA_SAMPLING`."""
     town_jitter: bool = False
-    """Whether what stands along the roads is drawn anew; recordings that share their traffic share it too."""
+    """Whether the scenery along the roads is drawn anew; recordings that share traffic also share the scenery."""
     distractors: Range | None = None
-    """Range of the number of things around the cameras that resemble vehicles and are none; None for none."""
+    """Range of the number of distractors around the cameras: objects that resemble vehicles; None for no objects."""
     lit_objects: Range | None = None
-    """Range of the number of things around the cameras that burn or shine at night; None for none. Where there are any,
-    there are also patches of light and hatched areas on the roads."""
+    """Range of the number of burning or luminous objects around the cameras at night; None for no objects.
+
+    If set, the roads also have patches of light and hatched areas."""
     seasons: bool = False
-    """Whether grass and leaves have the colours of a season, drawn for each town that is drawn anew."""
+    """Whether grass and leaves have the colours of a season, which is drawn for each redrawn town."""
     further_models: bool = False
-    """Whether traffic also has the models of `further_fleet.toml`: more lorries, buses, vans and others."""
+    """Whether the traffic also has the models of `further_fleet.toml`: more lorries, buses, vans and others."""
     road_users: bool = False
-    """Whether people on foot and on two wheels are labelled, in categories of their own, and there are more and other
-    ones of them."""
+    """Whether pedestrians and riders of two-wheelers are labelled in their own categories.
+
+    If True, there are also more of them, in a greater variety."""
     randomised: float = 0.0
-    """Share of the simulated traffics whose ground and walls have random colours and patterns, 0..1."""
+    """Fraction of the simulated traffics whose ground and walls have random colours and patterns, 0 to 1."""

@@ -1,1 +1,1 @@
-"""Stage 2: vehicle dynamics by pybullet, parked vehicles and bystanders."""
+"""Stage 2: vehicle dynamics with pybullet, parked vehicles and bystanders."""

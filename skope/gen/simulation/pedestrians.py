@@ -1,4 +1,4 @@
-"""Poses of bystanders: riders on two wheels, which SUMO moves, and pedestrians on the sidewalks."""
+"""Poses of bystanders: riders of two-wheelers, which SUMO moves, and pedestrians on the sidewalks."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -21,30 +21,30 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class SidewalkCrowds:
-    """Numbers and places of pedestrians on sidewalks."""
+    """Numbers and positions of pedestrians on sidewalks."""
 
     gravity: float = 9.81
     """Acceleration of gravity, m/s^2."""
     per_100_m: float = 2.2
-    """Mean number of pedestrians on 100 m of sidewalk."""
+    """Mean number of unlabelled pedestrians per 100 m of sidewalk."""
     standing_share: float = 0.15
-    """Share of pedestrians who stand still."""
+    """Fraction of the unlabelled pedestrians who stand still."""
     elbow_room_m: float = 0.4
-    """Least distance from a pedestrian's middle to the side of a parked vehicle, metres."""
+    """Minimum distance from a pedestrian's middle to the side of a parked vehicle, metres."""
     groups_per_100_m: tuple[float, float] = (0.8, 12.0)
-    """Range of the mean number of groups of labelled pedestrians on 100 m of sidewalk, drawn for each recording."""
+    """Range of the mean number of groups of labelled pedestrians per 100 m of sidewalk, drawn for each recording."""
     group_shares: tuple[float, float, float, float] = (0.62, 0.24, 0.09, 0.05)
-    """Share of the groups of one, two, three and four people."""
+    """Fractions of the groups that have one, two, three and four people."""
     running_share: float = 0.04
-    """Share of the groups that run."""
+    """Fraction of the groups that run."""
     largest_offset_m: float = 0.65
-    """Labelled pedestrians keep to this distance from the middle of a sidewalk, metres."""
+    """Maximum distance of labelled pedestrians from the middle of a sidewalk, metres."""
     circle_m: float = 0.55
-    """Distance of people who stand together from their middle, metres."""
+    """Distance of people who stand together from the centre of their group, metres."""
     abreast_m: float = 0.64
-    """Distance of two people who walk side by side, metres."""
+    """Distance between two people who walk side by side, metres."""
     offset_sigma_m: float = 0.45
-    """Standard deviation of a pedestrian's distance from the middle of the sidewalk, metres."""
+    """Standard deviation of the distance of unlabelled pedestrians from the middle of the sidewalk, metres."""
 
 
 SIDEWALK_CROWDS: Final = SidewalkCrowds()
@@ -58,28 +58,28 @@ class PlacedBystander:
     T_world_body: Array
     """(4, 4) pose of the body in the world."""
     velocity: Array
-    """(3,) world, m/s."""
+    """(3,) velocity in the world, m/s."""
     travelled: float
-    """Distance since it appeared, metres; the phase of its steps or wheels follows from it."""
+    """Distance since the bystander appeared, metres; determines the phase of its steps or wheels."""
 
     @property
     def part_poses(self) -> Array:
-        """(P, 4, 4) poses of its moving parts in the world."""
+        """Return the poses (P, 4, 4) of the moving parts in the world."""
         return self.T_world_body @ self.body.pose(self.travelled, float(np.linalg.norm(self.velocity)))
 
 
 class Riders:
-    """Follows SUMO's riders: how far each has come, and how it leans in curves."""
+    """Tracker of SUMO's riders: the distance that each has travelled, and its lean in curves."""
 
     def __init__(
         self, kinds: Mapping[str, str], rng_of: Callable[[str], np.random.Generator], *, jointed: bool = False
     ) -> None:
-        """Follow riders.
+        """Create a tracker without riders.
 
         Args:
-            kinds: Each one's kind by name.
-            rng_of: Gives the generator of the look of the rider of a name.
-            jointed: Whether bodies are those of riders who are labelled.
+            kinds: Kind of each rider, by name.
+            rng_of: Function that returns the generator of the appearance of the rider with a given name.
+            jointed: Whether the bodies are the jointed ones of labelled riders.
         """
         self._kinds, self._rng_of, self._jointed = kinds, rng_of, jointed
         self._bodies: dict[str, Bystander] = {}
@@ -88,7 +88,7 @@ class Riders:
         self._lean: dict[str, float] = {}
 
     def follow(self, ridden: Mapping[str, SumoRider], dt: float) -> dict[str, PlacedBystander]:
-        """Riders by name, `dt` seconds after the last call, where SUMO has them (`ridden`)."""
+        """Return the riders by name, `dt` seconds after the last call, at their positions in SUMO (`ridden`)."""
         return {name: self._place(name, state, dt) for name, state in sorted(ridden.items())}
 
     def _place(self, name: str, state: SumoRider, dt: float) -> PlacedBystander:
@@ -109,22 +109,22 @@ class Riders:
 
 @dataclass(frozen=True, eq=False)
 class _Walk:
-    """One pedestrian's walk to and fro."""
+    """Walk of one pedestrian, back and forth."""
 
     body: Bystander
     path: Array
-    """(N, 3) middle of a sidewalk, world, metres."""
+    """(N, 3) centre line of a sidewalk, world, metres."""
     start: float
-    """Place along the path at time 0, metres."""
+    """Position along the path at time 0, metres."""
     speed: float
-    """Speed along the path, m/s; negative backwards, 0 for a pedestrian who stands."""
+    """Speed along the path, m/s; negative for backwards, 0 for a standing pedestrian."""
     aside: float
     """Distance to the right of the path, metres."""
     facing: float
-    """Direction in which a pedestrian who stands looks, radians from the path's."""
+    """Heading of a standing pedestrian relative to the path, radians."""
 
     def meets(self, obstacles: shapely.Geometry) -> bool:
-        """Whether the walk, there or back, leads through an obstacle."""
+        """Return whether the walk meets an obstacle in either direction."""
         if obstacles.is_empty:
             return False
         line = LineString(self.path[:, :2])
@@ -132,10 +132,10 @@ class _Walk:
 
 
 class Walkers:
-    """Pedestrians who walk to and fro on sidewalks; where they are depends on the time alone."""
+    """Pedestrians who walk back and forth on sidewalks; their positions depend on the time only."""
 
     def __init__(self, paths: Sequence[Array], rng: np.random.Generator, parked: Sequence[Polygon] = ()) -> None:
-        """Draw pedestrians: `paths` are middles of sidewalks (N, 3), `parked` footprints of parked vehicles, metres."""
+        """Draw pedestrians; `paths` are centre lines (N, 3) of sidewalks, `parked` footprints of vehicles, metres."""
         self._walks: list[_Walk] = []
         standing = unary_union([place.buffer(SIDEWALK_CROWDS.elbow_room_m) for place in parked])
         for path in paths:
@@ -152,7 +152,7 @@ class Walkers:
                     float(rng.normal(0, SIDEWALK_CROWDS.offset_sigma_m)),
                     float(rng.uniform(-math.pi, math.pi)) if stands else 0.0,
                 )
-                # A pedestrian who would walk into a parked vehicle keeps to the middle, or is left out.
+                # A pedestrian who would walk into a parked vehicle is moved to the middle of the sidewalk, or omitted.
                 free = [way for way in (walk, replace(walk, aside=0.0)) if not way.meets(standing)]
                 self._walks += free[:1]
 
@@ -160,13 +160,13 @@ class Walkers:
     def labelled(
         cls, paths: Sequence[Array], rng: np.random.Generator, parked: Sequence[Polygon] = (), *, raining: bool = False
     ) -> "Walkers":
-        """Pedestrians who are labelled: few or many, alone and in groups that walk or stand together.
+        """Draw labelled pedestrians: few or many, alone and in groups that walk or stand together.
 
         Args:
-            paths: Middles of sidewalks (N, 3).
-            rng: Draws them all.
+            paths: Centre lines of sidewalks, (N, 3) each, world, metres.
+            rng: Random generator for all of them.
             parked: Footprints of parked vehicles, metres.
-            raining: Whether many have umbrellas.
+            raining: Whether it rains, which makes many pedestrians carry umbrellas.
         """
         out = cls((), rng)
         standing = unary_union([place.buffer(SIDEWALK_CROWDS.elbow_room_m) for place in parked])
@@ -181,16 +181,16 @@ class Walkers:
         return out
 
     def at(self, time: float) -> dict[str, PlacedBystander]:
-        """All pedestrians by name at a time, seconds."""
+        """Return all pedestrians by name at a time in seconds."""
         return {f"p{i:04d}": _place_walker(walk, time) for i, walk in enumerate(self._walks)}
 
 
 def _group(path: Array, length: float, rng: np.random.Generator, raining: bool) -> list[_Walk]:
-    """One or more people who go the same way side by side, or stand together and look at each other."""
+    """Draw one or more people who walk side by side, or stand together and face each other."""
     count = 1 + int(rng.choice(len(SIDEWALK_CROWDS.group_shares), p=SIDEWALK_CROWDS.group_shares))
     start, aside = float(rng.uniform(0, length)), float(rng.normal(0, SIDEWALK_CROWDS.offset_sigma_m))
     stands, way = rng.random() < SIDEWALK_CROWDS.standing_share, float(rng.choice([-1, 1]))
-    # Walls stand where a sidewalk ends.
+    # There are walls at the ends of a sidewalk.
     room = SIDEWALK_CROWDS.largest_offset_m - (
         (SIDEWALK_CROWDS.circle_m if stands else SIDEWALK_CROWDS.abreast_m / 2) if count > 1 else 0.0
     )
@@ -211,7 +211,7 @@ def _group(path: Array, length: float, rng: np.random.Generator, raining: bool) 
             facing = math.atan2(beside, -ahead)
         elif stands:
             ahead = beside = 0.0
-        else:  # in pairs: a sidewalk is not wide
+        else:  # in pairs, since a sidewalk is narrow
             ahead, beside = (
                 float(0.15 * rng.normal()) - 0.9 * (k // 2),
                 SIDEWALK_CROWDS.abreast_m * (k % 2 - 0.5 * (count > 1)),
@@ -223,7 +223,7 @@ def _group(path: Array, length: float, rng: np.random.Generator, raining: bool) 
 
 def _place_walker(walk: _Walk, time: float) -> PlacedBystander:
     length, travelled = _length(walk.path), abs(walk.speed) * time
-    # Pedestrians turn round at the ends of the path.
+    # Pedestrians turn around at the ends of the path.
     lap = (walk.start + walk.speed * time) % (2 * length)
     s, way = (lap, 1.0) if lap < length else (2 * length - lap, -1.0)
     way *= math.copysign(1.0, walk.speed)
@@ -232,7 +232,7 @@ def _place_walker(walk: _Walk, time: float) -> PlacedBystander:
     before = np.array([np.interp(s - 0.4 * way, marks, c) for c in walk.path.T])
     along = ahead - before
     yaw = math.atan2(along[1], along[0])
-    # To the right of the path's own direction, whichever way the pedestrian walks.
+    # The offset is to the right of the path's direction, whichever way the pedestrian walks.
     right = np.array([along[1], -along[0], 0.0]) * way / max(float(np.hypot(along[0], along[1])), 1e-9)
     place = here + walk.aside * right
     look, speed = walk.body.look, abs(walk.speed)
@@ -246,7 +246,7 @@ def _length(path: Array) -> float:
 
 
 def _frame(position: tuple[float, float, float], yaw: float, pitch: float, roll: float) -> Array:
-    """(4, 4) pose at a position, metres. Angles in radians: pitch is positive uphill, roll positive to the right."""
+    """Return the (4, 4) pose at a position (metres); angles in radians, positive uphill and to the right."""
     (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a), math.sin(a)) for a in (yaw, -pitch, roll))
     R = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     T = np.eye(4)

@@ -1,9 +1,9 @@
-"""The pybullet world: each vehicle a multibody with a sprung chassis and four wheels that roll and steer.
+"""The pybullet world, in which each vehicle is a multibody with a sprung chassis and four wheels that roll and steer.
 
-SUMO says where a vehicle drives. Its carrier (the multibody's base) follows that path on the road; chassis and wheels
-hang on it by joints, and the engine integrates them: heave, pitch and roll on springs and dampers under the inertial
-loads of accelerating, braking and cornering, wheels driven to roll without slip. What is recorded is read back from
-the engine.
+SUMO determines the path of a vehicle. The vehicle's carrier (the base of the multibody) follows that path on the road.
+Chassis and wheels are attached to the carrier by joints. The engine integrates the motion of the chassis (heave, pitch
+and roll) on springs and dampers under the inertial loads of accelerating, braking and cornering. Motors make the wheels
+roll without slip. The recorded poses are read back from the engine.
 """
 
 import math
@@ -22,24 +22,24 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class PhysicsModel:
-    """Suspension and tyres of vehicles."""
+    """Suspension and tyre parameters of vehicles."""
 
     substeps: int = 3
-    """Physics steps per SUMO step: 120 Hz."""
+    """Number of physics steps per SUMO step; 3 gives 120 Hz at the default step."""
     steering_links: tuple[int, int] = (3, 5)
     """Links that steer the front wheels, right and left."""
     wheel_links: tuple[int, int, int, int] = (4, 6, 7, 8)
-    """Links of the wheels front right, front left, rear right, rear left; a front wheel hangs on its steering link."""
+    """Links of the wheels front right, front left, rear right, rear left; front wheels hang on their steering links."""
     gravity: float = 9.81
     """Acceleration of gravity, m/s^2."""
     mass_height: float = 0.36
-    """Height of the centre of mass as a share of the vehicle's height."""
+    """Height of the centre of mass, as a fraction of the vehicle's height."""
     roll_height_m: float = 0.12
-    """Height of the axes of pitch and roll over the road, metres."""
+    """Height of the pitch and roll axes above the road, metres."""
     damping_share: float = 0.35
-    """Share of critical damping, as passenger cars have it."""
+    """Damping ratio (fraction of critical damping), typical of passenger cars."""
     grip_mps2: float = 8.0
-    """Largest acceleration that tyres hold on dry asphalt, m/s^2."""
+    """Maximum acceleration that tyres can hold on dry asphalt, m/s^2."""
 
 
 PHYSICS_MODEL: Final = PhysicsModel()
@@ -50,20 +50,20 @@ _HEAVE, _PITCH, _CHASSIS = 0, 1, 2
 
 @dataclass(frozen=True)
 class Pose:
-    """Pose and velocity of one vehicle, as the physics engine has them."""
+    """Pose and velocity of one vehicle in the physics engine."""
 
     T_world_chassis: Array
     """(4, 4) pose of the vehicle frame."""
     T_world_wheels: Array
-    """(4, 4, 4) front right, front left, rear right, rear left; y is the axle, pointing left."""
+    """(4, 4, 4) poses of the wheels: front right, front left, rear right, rear left; y is the axle, pointing left."""
     velocity: Array
-    """(3,) of the carrier in the world, m/s."""
+    """(3,) velocity of the carrier in the world, m/s."""
     T_world_trailer: Array = field(default_factory=lambda: trailer_motion.NO_TRAILER)
-    """(3, 4, 4) a trailer and its wheels rear right, rear left, as in `skope.gen.scene.recording.Moment`."""
+    """(3, 4, 4) poses of a trailer and its two rear wheels, as in `skope.gen.scene.recording.Moment`."""
 
 
 def at_rest(vehicle: Vehicle, driven: Driven) -> Pose:
-    """A vehicle that SUMO places, on springs at rest and with wheels straight, as the engine would have it."""
+    """Return the pose of a vehicle at its position in SUMO, with springs at rest and straight wheels."""
     forward = np.array([math.cos(driven.yaw) * math.cos(driven.pitch), math.sin(driven.yaw) * math.cos(driven.pitch)])
     x = np.array([*forward, math.sin(driven.pitch)])
     y = np.array([-math.sin(driven.yaw), math.cos(driven.yaw), 0.0])
@@ -77,7 +77,7 @@ def at_rest(vehicle: Vehicle, driven: Driven) -> Pose:
 
 @dataclass
 class _Suspension:
-    """Springs and dampers of heave (N/m), pitch and roll (N m/rad), and the lever of the inertial loads (m)."""
+    """Springs and dampers of heave (N/m), pitch and roll (N m/rad), and lever arm of the inertial loads (m)."""
 
     stiffness: tuple[float, float, float]
     damping: tuple[float, float, float]
@@ -93,7 +93,7 @@ class _Suspension:
             vehicle.mass * ((length**2 + height**2) / 12 + lever**2),
             vehicle.mass * ((width**2 + height**2) / 12 + lever**2),
         )
-        # A car dives about 2 degrees and leans about 5 degrees per g; it heaves at 1.3 Hz.
+        # Per g of acceleration a car pitches by about 2 degrees and rolls by about 5 degrees; it heaves at 1.3 Hz.
         per_g = vehicle.mass * PHYSICS_MODEL.gravity * lever
         heave, pitch, roll = vehicle.mass * (2 * math.pi * 1.3) ** 2, per_g / math.radians(2), per_g / math.radians(5)
         damping = [
@@ -103,11 +103,11 @@ class _Suspension:
         return cls((heave, pitch, roll), (damping[0], damping[1], damping[2]), vehicle.mass, lever)
 
     def forces(self, joints: Sequence[Sequence[float]], ahead: float, aside: float) -> list[float]:
-        """Force that lifts the chassis (N), and the torques that press its nose down and its right side down (N m).
+        """Compute the lifting force on the chassis (N) and the torques that push nose and right side down (N m).
 
-        `joints` are position and speed of heave, pitch and roll; the body is sped up by `ahead` and `aside`, m/s^2. The
-        inertial force acts on the centre of mass, a lever above the axes: braking turns the nose down, which is
-        positive about y; a left turn leans the body to the right, positive about x.
+        `joints` are position and speed of heave, pitch and roll. The body accelerates by `ahead` and `aside`, m/s^2.
+        The inertial force acts on the centre of mass, at a lever arm above the axes. Braking pushes the nose down,
+        which is positive about y. A left turn leans the body to the right, which is positive about x.
         """
         thrust = self.mass * self.lever
         loads = (0.0, -thrust * ahead, thrust * aside)
@@ -116,7 +116,7 @@ class _Suspension:
 
 
 class _Body:
-    """One vehicle's multibody, with the carrier's motion of the last step."""
+    """Multibody of one vehicle, with the carrier's motion in the last step."""
 
     def __init__(self, engine: Any, client: int, vehicle: Vehicle, start: Driven) -> None:
         self.engine, self.client, self.vehicle = engine, client, vehicle
@@ -167,12 +167,12 @@ class _Body:
             e.setCollisionFilterGroupMask(body, link, 0, 0, physicsClientId=self.client)
             damping = {"linearDamping": 0, "angularDamping": 0, "jointDamping": 0}
             e.changeDynamics(body, link, **damping, physicsClientId=self.client)
-            # Joints come with a velocity motor that holds them; these are free.
+            # Joints are created with a velocity motor that holds them; these joints must move freely.
             e.setJointMotorControl2(body, link, e.VELOCITY_CONTROL, force=0, physicsClientId=self.client)
         return int(body)
 
     def _shapes(self, count: int) -> list[int]:
-        """A collision shape per link, from which the engine takes its inertia; nothing collides."""
+        """Create a collision shape per link, from which the engine computes the inertia; nothing collides."""
         e, s = self.engine, self.vehicle.shape
         half = [side / 2 for side in self.vehicle.size_lwh]
         hub = e.createCollisionShape(e.GEOM_SPHERE, radius=0.1, physicsClientId=self.client)
@@ -187,23 +187,23 @@ class _Body:
         self.engine.resetBasePositionAndOrientation(self.id, position, orientation, physicsClientId=self.client)
 
     def aim(self, target: Driven, dt: float) -> None:
-        """Take up the carrier's motion of the coming step: loads on the springs, speed and angle of the wheels."""
+        """Set the carrier's motion in the coming step, the spring loads, and the speed and angle of the wheels."""
         before = self.state
         turn = _angle(target.yaw - before.yaw) / dt
         slope = PHYSICS_MODEL.gravity * math.sin(target.pitch)
         loads = ((target.speed - before.speed) / dt + slope, target.speed * turn)
-        # Drivers in SUMO may brake and turn harder than tyres hold, and decide speeds anew at each step: 0.1 s is what
-        # tyres take to build up a force.
+        # SUMO's drivers can brake and turn harder than tyres allow, and they choose a new speed at each step. The load
+        # is therefore limited, and smoothed over 0.1 s, the time in which tyres build up a force.
         share = dt / (0.1 + dt)
         ahead, aside = (
             old + (_clamp(new, PHYSICS_MODEL.grip_mps2) - old) * share
             for old, new in zip(self.load, loads, strict=True)
         )
         self.load = ahead, aside
-        if target is not before:  # as it is for one that has just come
+        if target is not before:  # equal for a vehicle that was just added
             self.velocity = (np.array(target.position) - before.position) / dt
         e, radius = self.engine, self.vehicle.shape.wheel_radius
-        # Each wheel rolls as fast as its own place on the vehicle moves: the outer ones faster in a curve.
+        # Each wheel rolls at the speed of its own position on the vehicle: outer wheels are faster in a curve.
         rolling = [math.hypot(target.speed - turn * y, turn * x) / radius for x, y in self.wheels]
         e.setJointMotorControlArray(
             self.id,
@@ -224,7 +224,7 @@ class _Body:
         )
 
     def _steering(self, turn: float, speed: float) -> list[float]:
-        """Ackermann angles of the front wheels (right, left) for a rate of turn."""
+        """Return the Ackermann angles of the front wheels (right, left) for a yaw rate, radians."""
         s = self.vehicle.shape
         curvature = _clamp(turn / speed, 0.2) if speed > 0.5 else 0.0
         return [
@@ -232,7 +232,7 @@ class _Body:
         ]
 
     def substep(self, target: Driven, share: float) -> None:
-        """Move the carrier to `share` of the way and press the springs."""
+        """Move the carrier to the fraction `share` of its step and apply the spring forces."""
         before = self.state
         position = [a + (b - a) * share for a, b in zip(before.position, target.position, strict=True)]
         yaw = before.yaw + _angle(target.yaw - before.yaw) * share
@@ -265,7 +265,7 @@ class World:
     """All vehicles near a camera. Use as a context manager."""
 
     def __init__(self, dt: float) -> None:
-        """`dt` is the time between two calls of `advance`, seconds."""
+        """Create an empty world; `dt` is the time between two calls of `advance`, seconds."""
         self._dt = dt
         self._bodies: dict[str, _Body] = {}
 
@@ -283,7 +283,7 @@ class World:
         self._engine.disconnect(self._client)
 
     def advance(self, driven: dict[str, tuple[Vehicle, Driven]]) -> None:
-        """Drive to where `driven` says; newcomers start there at rest on their springs, absent ones are removed."""
+        """Drive vehicles to the states in `driven`; add new ones with springs at rest and remove absent ones."""
         for name in self._bodies.keys() - driven.keys():
             self._engine.removeBody(self._bodies.pop(name).id, physicsClientId=self._client)
         for name, (vehicle, state) in driven.items():
@@ -298,12 +298,12 @@ class World:
             body.state = driven[name][1]
 
     def poses(self) -> dict[str, Pose]:
-        """Poses of all vehicles as the engine has them now."""
+        """Return the current poses of all vehicles in the engine, by name."""
         return {name: body.pose() for name, body in self._bodies.items()}
 
 
 def _angle(value: float) -> float:
-    """An angle brought into -pi to pi."""
+    """Wrap an angle to the range from -pi to pi."""
     return math.remainder(value, 2 * math.pi)
 
 

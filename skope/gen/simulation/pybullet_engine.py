@@ -1,4 +1,4 @@
-"""The one place that imports pybullet, without the line that it prints."""
+"""Import of pybullet without the line that it prints; no other module imports it."""
 
 import os
 from functools import cache
@@ -7,10 +7,10 @@ from typing import Any
 
 @cache
 def engine() -> Any:
-    """The pybullet module."""
+    """Return the pybullet module."""
     kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
-        # The line comes from C, past sys.stderr.
+        # C code prints the line, so redirecting sys.stderr does not suppress it.
         os.dup2(null, 2)
         import pybullet
     finally:

@@ -1,5 +1,4 @@
-"""Record a simulation: the poses of all road users that the camera can see, or may see soon, frame by frame, and of
-vehicles that stand parked in its view."""
+"""Record a simulation: frame by frame, the poses of all road users near a camera and of the parked vehicles in view."""
 
 import math
 import zlib
@@ -31,38 +30,40 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class RecordingReach:
-    """Distances up to which road users are simulated and recorded."""
+    """Distances within which road users are simulated and recorded, and settings of lamps and parked vehicles."""
 
     occupied_share: float = 0.5
-    """Share of the bays that are taken."""
+    """Fraction of the parking bays that are occupied."""
     most_parked: int = 14
-    """Mean number of parked vehicles in view at most; in larger car parks a smaller share of the bays is taken."""
+    """Maximum mean number of parked vehicles in view; larger car parks have a smaller fraction of occupied bays."""
     simulated_within_m: float = 150.0
-    """Vehicles nearer to the camera than this are simulated physically, metres."""
+    """Distance from the camera within which vehicles are simulated physically, metres."""
     recorded_within_m: float = 600.0
-    """Vehicles farther from the camera than this are not recorded, metres."""
+    """Maximum distance from the camera of recorded vehicles, metres."""
     speck_px: float = 3.0
-    """Beyond `simulated_within_m`, vehicles are recorded where a car is at least this high in the image, pixels."""
+    """Minimum height of a car in the image for vehicles beyond `simulated_within_m` to be recorded, pixels."""
     coming_m: float = 60.0
-    """Vehicles are followed from this much farther away than they are recorded, metres: it takes them a second to come
-    onto a way that wheels can follow."""
+    """Distance beyond the recorded range at which vehicles start to be followed, metres.
+
+    A vehicle needs about a second until its path is one that wheels can follow."""
     behind_m: float = 40.0
-    """Vehicles behind the camera are recorded up to this distance, metres: they may throw shadows into the view."""
+    """Maximum distance of recorded vehicles behind the camera, metres; they may cast shadows into the view."""
     parked_within_m: float = 120.0
-    """Parked vehicles nearer to the camera than this are recorded, metres."""
+    """Maximum distance from the camera of recorded parked vehicles, metres."""
     around_m: float = 25.0
-    """Road users that are this near to what a camera shows may throw shadows into it, metres."""
+    """Distance from the camera's view within which road users may cast shadows into it, metres."""
     around_at_night_m: float = 45.0
-    """The same with lamps on, which light the road before them, metres."""
+    """Distance from the camera's view within which road users with lit lamps may light it, metres."""
     flash_s: float = 0.667
-    """Seconds from flash to flash of an indicator: 90 a minute, the middle of what UN Regulation 48 allows."""
+    """Period of a flashing indicator, seconds: 90 flashes per minute, the middle of the range in UN Regulation 48."""
     daytime_lamps_share: float = 0.4
-    """Share of the vehicles that drive with their headlamps lit by day, where cameras are to differ as those of many
-    countries do."""
+    """Fraction of the vehicles that drive with their headlamps on by day; applies only to recordings with views.
+
+    The cameras of views are meant to differ like those of many countries."""
     unlit_share: float = 0.15
-    """Share of the cyclists who ride without lamps in the dark, and of the motorcyclists who do by day."""
+    """Fraction of cyclists without lights in the dark, and of motorcyclists without lights by day."""
     tracks_per_recording: int = 100_000
-    """Track ids of a site's recordings are this far apart, so that they never meet."""
+    """Offset between the track ids of a site's consecutive recordings; keeps the ids distinct."""
 
 
 RECORDING_REACH: Final = RecordingReach()
@@ -70,7 +71,7 @@ RECORDING_REACH: Final = RecordingReach()
 
 @dataclass(frozen=True)
 class Parked:
-    """A vehicle in a bay."""
+    """A vehicle parked in a bay."""
 
     name: str
     model: str
@@ -78,7 +79,7 @@ class Parked:
     state: Driven
 
     def footprint(self, vehicle: Vehicle) -> Polygon:
-        """Rectangle of ground that the vehicle stands on, world, metres."""
+        """Return the ground rectangle that the vehicle covers, world, metres."""
         length, width, _ = vehicle.size_lwh
         return rectangle_polygon(np.array(self.state.position[:2]), self.state.yaw, length, width)
 
@@ -91,14 +92,14 @@ def parked_vehicles(
     *,
     most: int = RECORDING_REACH.most_parked,
 ) -> list[Parked]:
-    """Draw parked vehicles for some of the bays, of models that fit, nose or tail first.
+    """Draw parked vehicles of models that fit for some of the bays, forwards or backwards.
 
     Args:
-        town: For the height of the ground.
+        town: Town, which gives the height of the ground.
         bays: Bays in view.
         models: Models that drive in the town, by name.
-        rng: Draws bays, models, paints and places.
-        most: Mean number of vehicles at most.
+        rng: Random generator for bays, models, paints and positions.
+        most: Maximum of the mean number of vehicles.
     """
     fitting = {
         name: entry.share for name, entry in models.items() if straight_lwh(entry.vehicle)[0] < LAND_USE.bay_m[0] + 0.2
@@ -120,7 +121,7 @@ def parked_vehicles(
 
 
 def _standing(layout: Layout, place: np.ndarray, yaw: float) -> Driven:
-    """A vehicle that stands on the ground beside the road, level across."""
+    """Return the state of a vehicle that stands on the ground beside the road, level across."""
     ahead = 1.3 * np.array([math.cos(yaw), math.sin(yaw)])
     front, rear = (layout.height(layout.graph.world(at)) for at in (place + ahead, place - ahead))
     position = (float(place[0]), float(place[1]), (front + rear) / 2)
@@ -128,12 +129,12 @@ def _standing(layout: Layout, place: np.ndarray, yaw: float) -> Driven:
 
 
 def flashed(lamps: int, time: float, name: str) -> int:
-    """The lamps that are lit at a time: indicators flash, with a phase that follows from the vehicle's name.
+    """Return the lamps that are lit at a time; indicators flash, with a phase that depends on the vehicle's name.
 
     Args:
-        lamps: Bits of `LAMP_BITS` that are switched on.
-        time: Seconds.
-        name: The vehicle's name.
+        lamps: Switched-on lamps, as bits of `LAMP_BITS`.
+        time: Time, seconds.
+        name: Name of the vehicle.
     """
     indicators = LAMP_BITS["indicator_left"] | LAMP_BITS["indicator_right"]
     phase = zlib.crc32(name.encode()) / 2**32
@@ -141,12 +142,12 @@ def flashed(lamps: int, time: float, name: str) -> int:
 
 
 def _rider_lamps(kind: str, name: str, dark: bool) -> int:
-    """The lamps that a labelled rider has lit: a bicycle's front lamp is one as vehicles have for backing up.
+    """Return the lit lamps of a labelled rider; a bicycle's front lamp uses the bit of a vehicle's reversing lamp.
 
     Args:
         kind: Kind of the body.
-        name: Name of the rider, whose habit follows from it.
-        dark: Whether vehicles have their lamps lit.
+        name: Name of the rider, which determines whether the rider uses lights.
+        dark: Whether vehicles have their lamps on.
     """
     unlit = zlib.crc32(f"{name} unlit".encode()) < RECORDING_REACH.unlit_share * 2**32
     if kind == "motorcyclist":
@@ -155,7 +156,7 @@ def _rider_lamps(kind: str, name: str, dark: bool) -> int:
 
 
 def _half_view(camera: Camera) -> float:
-    """The largest angle between a camera's axis and what its image shows, radians."""
+    """Return the largest angle between a camera's axis and a ray in its image, radians."""
     columns, rows = np.meshgrid(np.linspace(0, camera.width, 5), np.linspace(0, camera.height, 5))
     rays, valid = camera.rays(np.stack([columns, rows], axis=-1).reshape(-1, 2))
     if not valid.all():
@@ -168,7 +169,7 @@ def _rounded(values: Sequence[Array], number: type[np.floating[Any]]) -> Array:
 
 
 class Recorder:
-    """Collects the frames of a recording; road users are numbered in the order in which they are first recorded."""
+    """Collector of the frames of a recording; road users are numbered in the order of their first appearance."""
 
     def __init__(
         self, camera: Camera, plan: RecordingPlan, models: Mapping[str, FleetEntry], *, lamps_on: bool
@@ -200,11 +201,11 @@ class Recorder:
         self._first_track = plan.index * RECORDING_REACH.tracks_per_recording + 1
 
     def near(self, everyone: Mapping[str, Driven], traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
-        """Vehicles near enough to be simulated physically, by name."""
+        """Return the vehicles that are near enough to be simulated physically, by name."""
         return self._within(0.0, RECORDING_REACH.simulated_within_m, everyone, traffic)
 
     def far(self, everyone: Mapping[str, Driven], traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
-        """Vehicles that are recorded, but too far away to be worth simulating physically, by name."""
+        """Return the vehicles that are recorded but too far away to be simulated physically, by name."""
         return self._within(RECORDING_REACH.simulated_within_m, self._reach, everyone, traffic)
 
     def _within(
@@ -217,7 +218,7 @@ class Recorder:
         }
 
     def watches(self, x: float, y: float) -> bool:
-        """Whether a vehicle at a place (world, metres) is recorded, or may be soon."""
+        """Return whether a vehicle at a position (world, metres) is recorded now, or may be soon."""
         east, north = x - self._eye[0], y - self._eye[1]
         away = math.hypot(east, north)
         ahead = east * self._ahead[0] + north * self._ahead[1]
@@ -226,7 +227,7 @@ class Recorder:
         )
 
     def _distance(self, position: Sequence[float]) -> float:
-        """Distance of a place (x, y, ...) from the camera on the map, metres; inf where the camera cannot see it."""
+        """Return the horizontal distance of a position (x, y, ...) from the camera, metres; inf if out of view."""
         east, north = position[0] - self._eye[0], position[1] - self._eye[1]
         away = math.hypot(east, north)
         return (
@@ -245,7 +246,7 @@ class Recorder:
         return self._vehicles[name]
 
     def _paint(self, name: str, vehicle: Vehicle, color: str) -> str:
-        """The paint of a vehicle: its own, or, where cameras share the traffic, one that is drawn for this camera."""
+        """Return a vehicle's own paint, or one drawn for this camera if several cameras share the traffic."""
         if not self._plan.variation.views:
             return color
         if name not in self._paints:
@@ -254,7 +255,7 @@ class Recorder:
         return self._paints[name]
 
     def _daytime_lamps(self, name: str) -> int:
-        """The lamps that a vehicle has lit by day too."""
+        """Return the lamps that a vehicle also has on by day."""
         lit = (
             self._plan.variation.views
             and zlib.crc32(f"{name} by day".encode()) < RECORDING_REACH.daytime_lamps_share * 2**32
@@ -282,16 +283,16 @@ class Recorder:
             self._note(frame, name, one.model, shape, color, pose, 0, parked=True)
 
     def in_view(self, bays: Iterable[Bay]) -> list[Bay]:
-        """The bays near enough that vehicles parked in them are recorded."""
+        """Return the bays that are near enough for vehicles parked in them to be recorded."""
         return [bay for bay in bays if self._distance(bay.place) < RECORDING_REACH.parked_within_m]
 
     def park(self, vehicles: Iterable[Parked]) -> None:
-        """Add parked vehicles, which are in every frame."""
+        """Add parked vehicles, which appear in every frame."""
         for one in vehicles:
             self._parked[one.name] = one, at_rest(self._vehicle(one.name, one.model), one.state)
 
     def add_others(self, others: Mapping[str, PlacedBystander]) -> None:
-        """Add bystanders, by name, to the last frame that was added."""
+        """Add bystanders, by name, to the last added frame."""
         for name, other in others.items():
             if self._distance(other.T_world_body[:2, 3].tolist()) < RECORDING_REACH.simulated_within_m:
                 parts, look = other.part_poses, other.body.look.to_dict()
@@ -325,7 +326,7 @@ class Recorder:
         self._rows.append((frame, self._index[name], pose, lamps))
 
     def _shows(self, place: Array) -> bool:
-        """Whether a road user at a place (3,) may be seen, or its shadow, or the light of its lamps."""
+        """Return whether a road user at a position (3,), its shadow or the light of its lamps may be visible."""
         away = place - self._eye_3d
         distance = float(np.linalg.norm(away))
         if distance <= self._around:
@@ -335,7 +336,8 @@ class Recorder:
 
     def recording(self, plan: RecordingPlan, camera: Camera, conditions: Conditions) -> Recording:
         site, poses = plan.site, [row[2] for row in self._rows]
-        # Many views must travel: their poses are kept to 24 bits, a hundredth of a millimetre.
+        # Recordings of views are transferred in large numbers, so poses are kept to 24 bits (a hundredth of a
+        # millimetre).
         number = np.float32 if plan.variation.views else np.float64
         trailers = _rounded([pose.T_world_trailer for pose in poses], number).reshape(-1, 3, 4, 4)
         return Recording(

@@ -1,4 +1,4 @@
-"""Simulate recordings: drive a site's traffic past its camera, or past several cameras of its town."""
+"""Simulate recordings: drive a site's traffic past its camera, or past several cameras in its town."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -31,46 +31,44 @@ from skope.types import Array, Range
 
 @dataclass(frozen=True)
 class SimulationTimes:
-    """Times before a recording, and limits of what is in it."""
+    """Times before a recording, and limits on its contents."""
 
     crowd_within_m: float = 90.0
-    """People on sidewalks nearer to the camera than this are recorded, metres."""
+    """Distance from the camera within which people on sidewalks are recorded, metres."""
     warm_up_s: tuple[float, float] = (60.0, 100.0)
-    """Range of the time that traffic runs before a recording, seconds: the first vehicles have crossed the town by
-    then."""
+    """Range of the warm-up time of the traffic before a recording, seconds; long enough to cross the town."""
     settle_s: float = 1.5
-    """Time that the physics run before the first frame, seconds, so that springs have come to rest."""
+    """Time that the physics run before the first frame, seconds, so that the springs come to rest."""
     added_share: float = 0.1
-    """Number of vehicles of each of the user's own models for one vehicle of the fleet."""
+    """Number of vehicles of each requested model per vehicle of the fleet, if no share is given."""
     lamps_on_deg: float = 10.0
-    """Vehicles drive with their lamps lit when the sun's elevation is below this, degrees."""
+    """Elevation of the sun below which vehicles drive with their lamps on, degrees."""
     lamps_on_visibility_m: float = 1000.0
-    """Vehicles drive with their lamps lit when the visibility is below this, metres."""
+    """Visibility below which vehicles drive with their lamps on, metres."""
 
 
 SIMULATION_TIMES: Final = SimulationTimes()
 
 
 def simulate(plan: RecordingPlan) -> Recording:
-    """Simulate traffic (SUMO) and vehicle dynamics (pybullet) before a site's camera; see `simulate_together`."""
+    """Simulate traffic (SUMO) and vehicle dynamics (pybullet) for one plan; see `simulate_together`."""
     (recording,) = simulate_together([plan])
     return recording
 
 
 def simulate_together(plans: Sequence[RecordingPlan]) -> list[Recording]:
-    """Simulate traffic (SUMO) and vehicle dynamics (pybullet) before one camera, or before several at once.
+    """Simulate traffic (SUMO) and vehicle dynamics (pybullet) in front of one or several cameras.
 
     Args:
-        plans: Everything that decides the recordings: one plan, or all plans with the same `leader`, in order, whose
-            cameras then hang at other corners of the town. Their frames are at times between those of each other.
-            Equal plans give equal recordings.
+        plans: One plan, or all plans with the same `leader`, in order. The cameras of several plans are in different
+            parts of the town, and their frames are at interleaved times. Equal plans give equal recordings.
 
     Returns:
         A recording for each plan, with all its frames.
 
     Raises:
-        UserError: The interval is no multiple of 5 ms, no camera that is drawn sees enough road, or the site's flows
-            do not fit its network.
+        UserError: The interval is not a multiple of 5 ms, no drawn camera sees enough road, or the site's flows do not
+            fit its network.
     """
     first = plans[0]
     site, step = first.site, step_for(first.interval)
@@ -124,7 +122,7 @@ def simulate_together(plans: Sequence[RecordingPlan]) -> list[Recording]:
 
 
 class _Cameras:
-    """The cameras of plans that share their traffic, with what each records."""
+    """Cameras of plans that share their traffic, with their recorders and pedestrians."""
 
     def __init__(
         self,
@@ -149,11 +147,11 @@ class _Cameras:
         return sample_camera(plan.site, _camera_ranges(plan, conditions), plan.rng(Stream.CAMERA))
 
     def watch(self, x: float, y: float) -> bool:
-        """Whether a vehicle at a place (world, metres) may be recorded; anywhere while cameras are not chosen."""
+        """Return whether a vehicle at a position (world, metres) may be recorded; True until cameras are chosen."""
         return not self.recorders or any(recorder.watches(x, y) for recorder in self.recorders)
 
     def choose(self, snapshots: Sequence[Snapshot]) -> None:
-        """Hang cameras where they see the traffic of `snapshots`, the first of which is that of step 0."""
+        """Place cameras where they see the traffic of `snapshots`, which begin at step 0."""
         sampler = ViewSampler(self._plans[0].site.town)
         masts = []
         for plan, conditions, start in zip(self._plans, self._conditions, self._starts, strict=True):
@@ -168,7 +166,7 @@ class _Cameras:
         self._add_recorders()
 
     def _move_to(self, variant: Variant) -> None:
-        """Let the plans be of a variant of their town."""
+        """Switch all plans to a variant of their town."""
         self._plans = [
             replace(plan, site=replace(plan.site, town=replace(plan.site.town, variant=variant)))
             for plan in self._plans
@@ -179,7 +177,7 @@ class _Cameras:
             self.recorders.append(Recorder(camera, plan, self._models, lamps_on=lamps_on(conditions)))
 
     def set_up(self) -> None:
-        """Put parked vehicles and pedestrians before the cameras."""
+        """Add parked vehicles and pedestrians around the cameras."""
         town, first = self._plans[0].site.town, self._plans[0]
         in_view = {bay: None for recorder in self.recorders for bay in recorder.in_view(bays_of(town))}
         rng, most = first.shared_rng(Stream.PARKED_VEHICLES), RECORDING_REACH.most_parked * len(self._plans)
@@ -194,7 +192,7 @@ class _Cameras:
             self.walkers.append(_walkers(plan, paths, footprints, raining=conditions.rain_mm_h > 0))
 
     def recordings(self) -> list[Recording]:
-        """The recordings, camera by camera."""
+        """Return the recordings, one per camera."""
         each = zip(self.recorders, self._plans, self._cameras, self._conditions, strict=True)
         return [recorder.recording(plan, camera, conditions) for recorder, plan, camera, conditions in each]
 
@@ -217,7 +215,7 @@ def _camera_ranges(plan: RecordingPlan, conditions: Conditions) -> CameraRanges:
 
 
 def _variant(plan: RecordingPlan, masts: tuple[Mast, ...]) -> Variant:
-    """The variant of a plan's town, as the plans that share their traffic draw it together."""
+    """Return the variant of a plan's town; plans that share their traffic share the draws."""
 
     def seed(stream: Stream) -> int:
         return int(plan.shared_rng(stream).integers(1, 2**31))
@@ -240,7 +238,7 @@ def _variant(plan: RecordingPlan, masts: tuple[Mast, ...]) -> Variant:
 
 
 def _places(snapshots: Sequence[Snapshot]) -> Array:
-    """(F, V, 3) places of vehicles on the road in snapshots, world; NaN where there are fewer than in others."""
+    """Return the positions (F, V, 3) of vehicles on the road in snapshots, world; NaN for absent vehicles."""
     out = np.full((len(snapshots), max((len(s.vehicles) for s in snapshots), default=0), 3), np.nan)
     for row, snapshot in zip(out, snapshots, strict=True):
         for place, vehicle in zip(row, snapshot.vehicles.values(), strict=False):
@@ -249,9 +247,9 @@ def _places(snapshots: Sequence[Snapshot]) -> Array:
 
 
 def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
-    """Models that drive by: the fleet (in the split `train` without held-out models) and those that were asked for.
+    """Return the models in the traffic: the fleet (without held-out models in the split `train`) and requested models.
 
-    With a share, the models that were asked for make it together, in equal parts, and the others make the rest.
+    If a share is given, the requested models together have this share, in equal parts. The other models have the rest.
     """
     train = plan.site.split == "train"
     driving = fleet(further=plan.variation.further_models)
@@ -270,12 +268,12 @@ def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
 
 
 def _asked(name: str) -> Vehicle:
-    """A model that was asked for, of the fleet or of the user."""
+    """Return a requested model, of the fleet or of the user."""
     return fleet()[name].vehicle if name in fleet() else user_models.load_model(name)
 
 
 def lamps_on(conditions: Conditions) -> bool:
-    """Whether vehicles drive with their lamps lit: at a low sun, in bad visibility and in rain."""
+    """Return whether vehicles drive with their lamps on: with a low sun, in poor visibility or in rain."""
     seen = (
         conditions.sun_elevation_deg >= SIMULATION_TIMES.lamps_on_deg
         and conditions.visibility_m >= SIMULATION_TIMES.lamps_on_visibility_m

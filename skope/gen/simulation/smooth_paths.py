@@ -1,9 +1,9 @@
-"""Smooth SUMO's places of vehicles to ways that vehicles can drive.
+"""Smooth the positions of vehicles in SUMO to paths that vehicles can drive.
 
-SUMO puts vehicles on the middle of lanes: it turns them at the corners of polylines, shifts them sideways within a
-step and decides speeds in jumps. Here the place of each is smoothed over time, and a bicycle model follows it: the rear
-axle moves along the heading only, and the heading turns as far as the steering lock allows (R. Rajamani, Vehicle
-Dynamics and Control, 2nd ed., 2.2).
+SUMO places vehicles on the centre lines of lanes. It turns them at the corners of polylines, shifts them sideways
+within one step, and changes speeds abruptly. This module smooths the position of each vehicle over time, and a bicycle
+model follows the smoothed position. The rear axle moves only along the heading, and the heading turns only as far as
+the steering lock allows (R. Rajamani, Vehicle Dynamics and Control, 2nd ed., 2.2).
 """
 
 import math
@@ -23,19 +23,18 @@ from skope.gen.vehicles.trailer_motion import DrivenTrailer, Follower
 
 @dataclass(frozen=True)
 class PathSmoothing:
-    """Smoothing of vehicle paths."""
+    """Settings for the smoothing of vehicle paths."""
 
     sigmas_s: tuple[float, float] = (0.2, 0.5)
-    """Standard deviations of the Gaussians that smooth places over time, seconds: for slow vehicles and for fast
-    ones."""
+    """Standard deviations of the Gaussians that smooth positions over time, seconds: for slow and for fast vehicles."""
     reach_s: float = 1.25
-    """Time to either side at which the Gaussians are cut off, seconds."""
+    """Time to either side at which the Gaussians are truncated, seconds."""
     lock_rad: float = 0.65
-    """Largest steering angle of the front wheels, radians: from kerb to kerb a sedan turns within 11 m, a bus in 21
-    m."""
+    """Maximum steering angle of the front wheels, radians; kerb-to-kerb turning circle: sedan 11 m, bus 21 m."""
     place_columns: int = 6
-    """Of a vehicle's place at a step: x and y of its lane point, distance driven, speed, height, slope. An articulated
-    vehicle has one more, the height under its trailer's axles."""
+    """Number of columns per vehicle and step: x and y of its lane point, travelled distance, speed, height, slope.
+
+    An articulated vehicle has one more column, the height of the road under its trailer's axles."""
     chunk_steps: int = 200
     """Number of steps that are smoothed at once."""
 
@@ -43,47 +42,47 @@ class PathSmoothing:
 PATH_SMOOTHING: Final = PathSmoothing()
 
 SLOW, FAST = 8.0, 16.0
-"""Speeds up to which a vehicle is slow and from which it is fast, m/s; between them the two averages are mixed."""
+"""Maximum speed of slow vehicles and minimum speed of fast ones, m/s; in between, the two averages are blended."""
 
 
 class Driven(NamedTuple):
-    """Motion of one vehicle at one step, after smoothing; a tuple as `SumoVehicle` is."""
+    """Motion of one vehicle at one step, after smoothing; a tuple like `SumoVehicle`."""
 
     position: tuple[float, float, float]
-    """World: under the middle of the vehicle, on the line through its axles' places on the road, metres."""
+    """World position under the vehicle's middle, on the line between the road points under its axles, metres."""
     yaw: float
     """Heading, counter-clockwise from east, radians."""
     pitch: float
-    """Slope of the road from axle to axle, uphill positive, radians."""
+    """Slope of the road from axle to axle, radians; uphill is positive."""
     speed: float
-    """Speed of the rear axle, forwards, m/s."""
+    """Forward speed of the rear axle, m/s."""
     lamps: int
-    """Lamps that are lit, as bits of `skope.gen.scene.recording.LAMP_BITS`."""
+    """Lit lamps, as bits of `skope.gen.scene.recording.LAMP_BITS`."""
     trailer: DrivenTrailer | None = None
-    """Place of an articulated vehicle's trailer."""
+    """Motion of an articulated vehicle's trailer; None for other vehicles."""
 
 
 @dataclass
 class _Bicycle:
-    """A bicycle model: place of a vehicle's rear axle, and its heading, after the last step."""
+    """Bicycle model: position of a vehicle's rear axle and its heading after the last step."""
 
     x: float
-    """World, metres."""
+    """World x of the rear axle, metres."""
     y: float
-    """World, metres."""
+    """World y of the rear axle, metres."""
     yaw: float
-    """Counter-clockwise from east, radians."""
+    """Heading, counter-clockwise from east, radians."""
 
     @classmethod
     def behind(cls, x: float, y: float, yaw: float, length: float) -> "_Bicycle":
-        """A bicycle with heading `yaw` whose rear axle is `length` metres behind the point (x, y)."""
+        """Return a bicycle with heading `yaw` and its rear axle `length` metres behind the point (x, y)."""
         return cls(x - length * math.cos(yaw), y - length * math.sin(yaw), yaw)
 
     def follow(self, x: float, y: float, length: float, sharpest: float) -> float:
-        """Drive on until the point `length` metres ahead of the rear axle is as near to (x, y) as it can be.
+        """Drive until the point `length` metres ahead of the rear axle is as near as possible to (x, y).
 
-        `sharpest` is the largest curvature, 1/m. Returns the metres that the rear axle has moved; vehicles stand
-        rather than move backwards.
+        `sharpest` is the maximum curvature, 1/m. Returns the distance that the rear axle has moved, metres. Vehicles
+        stop instead of moving backwards.
         """
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
         travel = max((x - self.x) * cos + (y - self.y) * sin - length, 0.0)
@@ -98,7 +97,7 @@ class _Bicycle:
 
 
 class _Way:
-    """One vehicle's way: where SUMO had it at each step from `first` on, and the bicycle that follows."""
+    """Path of one vehicle: its positions in SUMO from step `first` on, and the bicycle model that follows them."""
 
     def __init__(self, first: int) -> None:
         self.first = first
@@ -109,7 +108,7 @@ class _Way:
         self._columns = PATH_SMOOTHING.place_columns
 
     def add(self, placed: SumoVehicle) -> None:
-        """Note where SUMO had the vehicle at the next step."""
+        """Add the vehicle's state in SUMO at the next step."""
         self.placed.append(placed)
         self._rows.extend((*placed.lane_point, placed.driven, placed.speed, placed.height, placed.pitch))
         if placed.trailer:
@@ -117,13 +116,13 @@ class _Way:
             self._rows.append(placed.trailer.height)
 
     def driven(self, start: int, stop: int, weights: NDArray[np.float64], dt: float) -> Iterator[tuple[int, Driven]]:
-        """Steps in `start` <= step < `stop` at which SUMO had the vehicle, each with how it drives.
+        """Yield the steps in `start` <= step < `stop` at which SUMO has the vehicle, each with its smoothed motion.
 
         Args:
             start: First step.
             stop: Step after the last one.
-            weights: (2 * reach + 1, 2) weights of the steps around, for slow and for fast vehicles.
-            dt: Length of a step, seconds.
+            weights: (2 * reach + 1, 2) weights of the surrounding steps, for slow and for fast vehicles.
+            dt: Duration of a step, seconds.
         """
         start, stop = max(start, self.first), min(stop, self.first + len(self.placed))
         if start >= stop:
@@ -145,13 +144,13 @@ class _Way:
             yield k, Driven(place, one.yaw, pitch, travel / dt / level, placed.lamps, trailer)
 
     def _follow(self, placed: SumoVehicle, one: _Bicycle, level: float, height: float) -> DrivenTrailer:
-        """Draw the trailer behind the vehicle's place at a step; it begins as it hung in SUMO.
+        """Move the trailer behind the vehicle at a step; it starts with its heading in SUMO.
 
         Args:
-            placed: Where SUMO has the vehicle.
-            one: Where the vehicle is.
-            level: What a metre along the road is on the map, metres.
-            height: Of the road under the trailer's axles, metres.
+            placed: State of the vehicle in SUMO.
+            one: Smoothed position of the vehicle.
+            level: Horizontal length of one metre along the road, metres.
+            height: Height of the road under the trailer's axles, metres.
         """
         hitch = placed.chassis.hitch
         assert hitch is not None
@@ -163,11 +162,11 @@ class _Way:
         return DrivenTrailer(self._trailer.yaw, height, self._trailer.rolled)
 
     def _smoothed(self, start: int, stop: int, weights: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
-        """(stop - start, 4) x and y of the lane point, height (metres) and slope (radians) of the road; of an
-        articulated vehicle (stop - start, 5), with the height under its trailer.
+        """Return (stop - start, 4) x and y of the lane point, height (metres) and slope (radians) of the road.
 
-        Places are averaged over time; height and slope are those of the road at the averaged place. Before the first
-        and after the last known step the vehicle is assumed to drive on evenly.
+        For an articulated vehicle, (stop - start, 5) with the height under its trailer. Positions are averaged over
+        time; height and slope are those of the road at the averaged position. Before the first and after the last known
+        step, the vehicle is assumed to keep its speed and heading.
         """
         half = len(weights) // 2
         rows = np.array(self._rows).reshape(-1, self._columns)
@@ -178,7 +177,7 @@ class _Way:
             dt * self._change_per_second(self.placed[-1])
         )
         known = np.concatenate([before, inside, after])
-        # Summed weight by weight, so that rounding does not depend on how many steps are smoothed at once.
+        # The sum runs weight by weight, so that rounding does not depend on the number of steps smoothed at once.
         averages = np.zeros((2, stop - start, 4))
         for k, pair in enumerate(weights):
             averages += pair[:, None, None] * known[k : k + stop - start, :4]
@@ -189,33 +188,33 @@ class _Way:
         return np.column_stack([mean[:, :2], *road])
 
     def forget(self, before: int) -> None:
-        """Drop the steps before a step."""
+        """Drop all steps before the given step."""
         count = min(max(before - self.first, 0), len(self.placed))
         del self.placed[:count], self._rows[: count * self._columns]
         self.first += count
 
     def _change_per_second(self, placed: SumoVehicle) -> NDArray[np.float64]:
-        """(6,) or (7,) change of a row in a second."""
+        """Return the change of a row per second, (6,) or (7,)."""
         speed, level = placed.speed, placed.speed * math.cos(placed.pitch)
         ahead, up = (level * math.cos(placed.yaw), level * math.sin(placed.yaw)), speed * math.sin(placed.pitch)
         return np.array([*ahead, speed, 0.0, up, 0.0, up][: self._columns])
 
 
 def reach(step: float) -> int:
-    """Number of steps that SUMO has to be ahead of the smoothed vehicles, for steps of `step` seconds."""
+    """Return how many steps of `step` seconds SUMO must run ahead of the smoothed vehicles."""
     return round(PATH_SMOOTHING.reach_s / step)
 
 
 def drivable(snapshots: Iterable[Snapshot], step: float) -> Iterator[tuple[Snapshot, dict[str, Driven]]]:
-    """Smooth SUMO's snapshots to how vehicles drive.
+    """Smooth SUMO's snapshots to drivable motions.
 
     Args:
-        snapshots: One for each step.
-        step: Length of a step, seconds.
+        snapshots: One snapshot per step.
+        step: Duration of a step, seconds.
 
     Yields:
-        Each snapshot but the first and last `reach(step)`, with its vehicles as they drive, by name. It depends on
-        nothing later than `reach(step)` steps after it.
+        Each snapshot except the first and last `reach(step)`, with the motions of its vehicles by name. The result
+        depends on nothing later than `reach(step)` steps after it.
     """
     half = reach(step)
     weights = np.exp(-0.5 * (np.arange(-half, half + 1)[:, None] * step / PATH_SMOOTHING.sigmas_s) ** 2)

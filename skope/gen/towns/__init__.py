@@ -1,1 +1,1 @@
-"""Towns to drive in: networks, styles and camera sites of the package, and roads of a user's own."""
+"""Towns: networks, styles and camera sites of the package, and users' own roads."""

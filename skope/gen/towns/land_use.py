@@ -1,5 +1,7 @@
-"""Land use of a town: the areas beside its roads, the height of its ground, and what its cameras must see; the paths of
-pedestrians; places to park, which are bays of car parks, on the drives beside houses and along kerbs."""
+"""Land use of a town: areas beside its roads, ground heights, areas that cameras must see, sidewalks and parking bays.
+
+Parking bays are in car parks, on drives beside houses and along kerbs.
+"""
 
 import itertools
 from collections.abc import Iterable, Iterator
@@ -25,24 +27,24 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class LandUseSizes:
-    """Sizes of kerbs, bays and islands, and distances from cameras."""
+    """Dimensions of kerbs, bays and islands, and distances from cameras."""
 
     kerb_m: float = 0.15
     """Width of kerbs, metres."""
     island_m: float = 20.0
-    """Ground within the carriageway counts as a median or island if it is nowhere farther from it than this, metres."""
+    """Maximum distance from the carriageway of ground enclosed by it that counts as a median or island, metres."""
     camera_clearance_m: float = 8.0
-    """Radius around a camera in which nothing stands higher than 1 m, metres."""
+    """Radius around a camera without objects higher than 1 m, metres."""
     detailed_within_m: float = 42.0
-    """Objects nearer to a camera than this are built in full detail, metres."""
+    """Distance from a camera within which objects are built in full detail, metres."""
     plain_from_m: float = 120.0
-    """Objects farther from all cameras than this are built plainly, without small parts, metres."""
+    """Distance from all cameras beyond which objects are built without small parts, metres."""
     half_view_deg: float = 56.0
-    """Half of the horizontal angle that cameras are taken to see, degrees."""
+    """Half of the assumed horizontal field of view of cameras, degrees."""
     shortest_walk_m: float = 20.0
-    """Shortest sidewalk with pedestrians, metres."""
+    """Minimum length of a sidewalk with pedestrians, metres."""
     walk_spacing_m: float = 5.0
-    """Metres between the heights of a path."""
+    """Spacing of the points at which the height of a path is computed, metres."""
     bay_m: tuple[float, float] = (4.8, 2.6)
     """Length and width of a bay, metres."""
     aisle_m: float = 6.8
@@ -50,17 +52,17 @@ class LandUseSizes:
     drive_m: float = 2.4
     """Width of a drive, metres."""
     lot_edge_m: float = 1.0
-    """Distance from a car park's edge to its bays, metres."""
+    """Distance from the edge of a car park to its bays, metres."""
     kerbside_m: tuple[float, float] = (6.0, 2.1)
     """Length and width of a bay along a kerb, metres."""
     kerbside_share: float = 0.55
-    """Share of the streets with wide enough sidewalks that have bays along their kerbs."""
+    """Fraction of the streets with wide enough sidewalks that have bays along their kerbs."""
     kerbside_walk_m: float = 2.2
-    """Width of a sidewalk from which it may have bays, metres."""
+    """Minimum width of a sidewalk with bays, metres."""
     junction_distances_m: tuple[float, float] = (12.0, 20.0)
-    """Distance from the beginning and the end of a street to its bays, metres."""
+    """Minimum distance of bays from the start and the end of a street, metres."""
     free_share: float = 0.15
-    """Share of the places along a kerb that are left free between bays."""
+    """Fraction of the positions along a kerb that have no bay."""
 
 
 LAND_USE: Final = LandUseSizes()
@@ -68,15 +70,15 @@ LAND_USE: Final = LandUseSizes()
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """The regions and heights that a town's scenery is fitted into.
+    """Regions and heights that a town's scenery is fitted into.
 
-    All places are those of the graph: in a town with left-hand traffic, of its mirror image.
+    All positions are those of the graph: in a town with left-hand traffic, those of its mirror image.
     """
 
     graph: RoadGraph
     style: TownStyle
     sites: tuple[Site, ...]
-    """The cameras whose views are kept clear."""
+    """Cameras that must have a clear view."""
 
     @classmethod
     def of(cls, town: Town) -> "Layout":
@@ -88,12 +90,12 @@ class Layout:
 
     @cached_property
     def deck_edge(self) -> float:
-        """Width of decks beside their lanes, metres."""
+        """Width of a deck beside its lanes, metres."""
         return max([self.graph.kind(edge).sidewalk for edge in self.graph.edges_of("bridge")], default=0.0) + 0.45
 
     @property
     def under_decks(self) -> list[Any]:
-        """Bridges' shadows on the ground, which are paved."""
+        """Areas under bridges, which are paved."""
         return [deck.buffer(2.0, cap_style="square") for deck in self.graph.decks]
 
     @cached_property
@@ -102,14 +104,14 @@ class Layout:
         return self.enclosed(LAND_USE.island_m).difference(self.graph.road)
 
     def enclosed(self, reach: float) -> Region:
-        """Ground within the carriageway that is nowhere farther than `reach` metres from it."""
-        # Decks only touch what they lead to.
+        """Return the ground enclosed by the carriageway that is nowhere farther than `reach` metres from it."""
+        # Decks only touch the roads that they lead to.
         closed = self.graph.road.buffer(0.1, join_style="mitre").buffer(-0.1, join_style="mitre")
         holes = [Polygon(hole) for part in polygons(closed) for hole in part.interiors]
         return unary_union([hole for hole in holes if hole.buffer(-reach).is_empty])
 
     def beside_lanes(self, width: str) -> Region:
-        """The strips beside the carriageway that are as wide as the road's `width` ("sidewalk" or "shoulder")."""
+        """Return the strips beside the carriageway as wide as the road's `width` ("sidewalk" or "shoulder")."""
         parts = []
         for edge in self.graph.edges:
             kind = self.graph.kind(edge)
@@ -124,31 +126,31 @@ class Layout:
 
     @cached_property
     def sidewalk(self) -> Region:
-        """The sidewalks of all roads on the ground."""
+        """Sidewalks of all roads on the ground."""
         return self.beside_lanes("sidewalk")
 
     # --------------------------------------------------------------------------------------------------------- cameras
 
     @cached_property
     def detailed(self) -> Region:
-        """Area near enough to a camera that small things can be made out."""
+        """Area near enough to a camera for small objects to be visible."""
         return unary_union([Point(site.position[:2]).buffer(LAND_USE.plain_from_m, quad_segs=4) for site in self.sites])
 
     @cached_property
     def around_cameras(self) -> Region:
-        """Area around the cameras in which nothing high stands."""
+        """Area around the cameras without high objects."""
         return unary_union([Point(site.position[:2]).buffer(LAND_USE.camera_clearance_m) for site in self.sites])
 
     def camera_distance(self, place: Array) -> float:
-        """Distance of a place (2,) from the nearest camera, metres."""
+        """Return the distance of a place (2,) from the nearest camera, metres."""
         return min((float(np.hypot(*(place - site.position[:2]))) for site in self.sites), default=np.inf)
 
     def sightlines(self, reach: float) -> Region:
-        """Region between the cameras and the carriageway that they see within `reach` metres."""
+        """Return the region between the cameras and the carriageway that they see within `reach` metres."""
         return unary_union([self.around_cameras, *(_sightlines(site, self.graph.road, reach) for site in self.sites)])
 
     def road_below(self, site: Site) -> float:
-        """Height of the carriageway that a camera looks at, 12 to 45 m before it: that of most places, metres."""
+        """Return the median height of the carriageway 12 to 45 m in front of a camera, metres."""
         angle = np.radians(site.yaw_deg + np.linspace(-25.0, 25.0, 11))
         rays = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         places = (np.array(site.position[:2]) + np.arange(12.0, 45.0, 3.0)[:, None, None] * rays).reshape(-1, 2)
@@ -159,21 +161,21 @@ class Layout:
 
     @cached_property
     def ground(self) -> GroundSurface:
-        """The ground with the carriageways on it."""
+        """Ground surface, including the carriageways on it."""
         driven_on, shaping = self.graph.ground_lanes("ground", "walled"), self.graph.ground_lanes("ground")
         return GroundSurface(self.style.terrain, Lanes(driven_on), Lanes(shaping))
 
     def height(self, place: ArrayLike) -> float:
-        """Height of the ground or sidewalk at a place (2,) beside the carriageway, metres."""
+        """Return the height of the ground or sidewalk at a place (2,) beside the carriageway, metres."""
         return float(self.ground.beside(np.asarray(place, dtype=np.float64)[None])[0]) + self.style.kerb
 
     def on_ground(self, place: ArrayLike) -> tuple[float, float, float]:
-        """A place (2,) beside the carriageway with the height of the ground or sidewalk there, metres."""
+        """Return a place (2,) beside the carriageway with the height of the ground or sidewalk there, metres."""
         x, y = np.asarray(place, dtype=np.float64)
         return float(x), float(y), self.height((x, y))
 
     def draped(self, mesh: Mesh) -> Mesh:
-        """A mesh, made as if the ground were at height 0, that follows the ground under each of its vertices."""
+        """Return a mesh, built for ground at height 0, with each vertex moved by the height of the ground below it."""
         z = self.ground.beside(mesh.vertices[:, :2]) + self.style.kerb
         return Mesh(
             mesh.vertices + np.column_stack([np.zeros((len(z), 2)), z]),
@@ -190,7 +192,7 @@ def _mirrored_site(site: Site) -> Site:
 
 
 def _sightlines(site: Site, road: Region, reach: float) -> Region:
-    """The ground between a camera and the road that it sees within `reach` metres."""
+    """Return the ground between a camera and the road that it sees within `reach` metres."""
     eye = np.array(site.position[:2])
     angles = np.radians(site.yaw_deg + np.linspace(-LAND_USE.half_view_deg, LAND_USE.half_view_deg, 17))
     view = Polygon([eye, *(eye + reach * np.stack([np.cos(angles), np.sin(angles)], axis=1))])
@@ -202,7 +204,7 @@ def _sightlines(site: Site, road: Region, reach: float) -> Region:
 
 
 def sidewalks(town: Town, center: tuple[float, float], reach: float) -> list[Array]:
-    """Middles (N, 3) of the sidewalks within `reach` metres of a place."""
+    """Return the centre lines (N, 3) of the sidewalks within `reach` metres of a place."""
     layout = Layout.of(town)
     graph = layout.graph
     around = Point(graph.world(center)).buffer(reach)
@@ -241,23 +243,23 @@ def _walk_path(layout: Layout, line: LineString) -> Array:
 
 @dataclass(frozen=True)
 class Bay:
-    """A parking bay for one car."""
+    """Parking bay for one car."""
 
     place: tuple[float, float]
     """World x and y of its middle, metres."""
     heading: float
-    """Direction in which a car drives into it, counter-clockwise from east, radians."""
+    """Direction in which a car drives into the bay, counter-clockwise from east, radians."""
 
 
 def ground_of(bays: Iterable[Bay]) -> Any:
-    """The ground that bays along kerbs take up."""
+    """Return the ground area of bays along kerbs."""
     return unary_union(
         [rectangle_polygon(np.array(bay.place), bay.heading, *LAND_USE.kerbside_m).buffer(0.01) for bay in bays]
     )
 
 
 def lot_bays(lots: Any) -> list[Bay]:
-    """Rows of bays with aisles between them in each of the car parks."""
+    """Return rows of bays with aisles between them for each of the car parks."""
     return [bay for lot in polygons(lots) for bay in _bay_rows(lot)]
 
 
@@ -281,12 +283,12 @@ def _bay_rows(lot: Polygon) -> Iterator[Bay]:
 
 
 def kerb_bays(layout: Layout, keep_clear: Any, rng: np.random.Generator) -> list[Bay]:
-    """Bays along the kerbs of some streets, on the side of the sidewalk, in the direction of the traffic.
+    """Draw bays along the kerbs of some streets, on the sidewalk's side and in the direction of the traffic.
 
     Args:
-        layout: The town's, in whose places the bays are.
-        keep_clear: Region that no bay may meet, such as drives and crossings.
-        rng: Draws streets and gaps.
+        layout: Layout of the town; the bays are in its coordinates.
+        keep_clear: Region that must stay free of bays, such as drives and crossings.
+        rng: Random generator for streets and gaps.
     """
     out = []
     for edge in layout.graph.edges_of("ground"):
@@ -302,7 +304,7 @@ def kerb_bays(layout: Layout, keep_clear: Any, rng: np.random.Generator) -> list
 
 
 def bay_lines(lots: Any) -> Any:
-    """Painted lines on both sides of each bay of the car parks."""
+    """Return the painted lines on both sides of each bay of the car parks."""
     lines = []
     for bay in lot_bays(lots):
         side = np.array([-np.sin(bay.heading), np.cos(bay.heading)]) * LAND_USE.bay_m[1] / 2
@@ -314,7 +316,7 @@ def bay_lines(lots: Any) -> Any:
 
 
 def drive_ring(half_length: float, front: float, street: float) -> Array:
-    """(4, 2) corners of a drive beside a house, from its side to the street, in the house's frame."""
+    """Return the corners (4, 2) of a drive beside a house, from its side to the street, in the house's frame."""
     x = half_length + 0.3
     return np.array(
         [[x, front - 5.0], [x + LAND_USE.drive_m, front - 5.0], [x + LAND_USE.drive_m, street], [x, street]]
@@ -322,5 +324,5 @@ def drive_ring(half_length: float, front: float, street: float) -> Array:
 
 
 def drive_bay(half_length: float, front: float) -> tuple[float, float]:
-    """The middle of the place for a car on such a drive, in the house's frame."""
+    """Return the middle of the parking space on a drive, in the house's frame."""
     return half_length + 0.3 + LAND_USE.drive_m / 2, front - 5.0 + LAND_USE.bay_m[0] / 2 + 0.3

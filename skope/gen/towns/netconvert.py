@@ -1,4 +1,4 @@
-"""SUMO's netconvert: compiles the towns' networks and converts maps of others."""
+"""SUMO's netconvert, which compiles the networks of towns and converts maps from other sources."""
 
 import re
 import shutil
@@ -16,11 +16,11 @@ COMMON_OPTIONS: Final[Mapping[str, str]] = {
     "offset.disable-normalization": "true",
     "default.lanewidth": "3.3",
     "tls.yellow.time": "3",
-    # Signals follow the traffic: no vehicle waits for an empty road, and a queue is gone when it turns red again.
+    # Signals are actuated by the traffic: no vehicle waits for an empty road, and queues are served before red.
     "tls.default-type": "actuated",
     "tls.min-dur": "5",
     "tls.max-dur": "25",
-    # Lateral acceleration in a turn, m/s^2.
+    # Maximum lateral acceleration in a turn, m/s^2.
     "junctions.limit-turn-speed": "4",
     "no-turnarounds": "true",
     "junctions.corner-detail": "8",
@@ -38,15 +38,15 @@ COMMENT_PATTERN: Final = re.compile(r"<!--.*?-->", re.DOTALL)
 
 
 def program() -> str | None:
-    """The netconvert beside this Python, or the one in the path; None without any."""
+    """Return the netconvert program next to this Python, else the one in the path; None if there is none."""
     beside = Path(sys.executable).with_name("netconvert")
     return str(beside) if beside.is_file() else shutil.which("netconvert")
 
 
 def netconvert(options: Mapping[str, str], header: str = "") -> str:
-    """The network that netconvert makes with some options, a comment in place of its header with date and paths.
+    """Run netconvert and return the network, with a fixed comment instead of its header with date and paths.
 
-    Raises UserError with what it says when it fails, and when it is not there.
+    Raises UserError with netconvert's message if it fails, and if it is not installed.
     """
     command = program()
     if command is None:
@@ -62,14 +62,14 @@ def netconvert(options: Mapping[str, str], header: str = "") -> str:
 
 
 def from_map(path: Path, kind: str, origin: tuple[float, float] | None, *, lefthand: bool, height: float = 0.0) -> str:
-    """The network of an OpenStreetMap ("osm") or OpenDRIVE ("opendrive") file.
+    """Convert an OpenStreetMap ("osm") or OpenDRIVE ("opendrive") file to a network.
 
     Args:
-        path: The file.
+        path: Path of the map file.
         kind: "osm" or "opendrive".
-        origin: Latitude and longitude in degrees of what becomes (0, 0) of an OpenStreetMap file, x east and y north.
-        lefthand: Whether traffic keeps to the left.
-        height: Height of the map that becomes z = 0, metres.
+        origin: Latitude and longitude, in degrees, of the point (0, 0) of an OpenStreetMap file; x east and y north.
+        lefthand: Whether traffic drives on the left.
+        height: Height in the map that becomes z = 0, metres.
     """
     options = {**COMMON_OPTIONS, **MAP_OPTIONS, f"{kind}-files": str(path)}
     if height:

@@ -1,4 +1,4 @@
-"""Regions of the plane: what polygons a shape consists of, rectangles, and whether a place is free."""
+"""Regions of the plane: the polygons of a shape, rectangles, and tests for free places."""
 
 from typing import Any, Final, TypeAlias
 
@@ -11,23 +11,23 @@ from skope.types import Array
 Region: TypeAlias = Polygon | MultiPolygon
 
 GRID_M: Final = 1e-4
-"""Grid that polygons' corners are rounded to, metres, so that parts cut out of each other keep common corners."""
+"""Grid to which the corners of polygons are rounded, metres; adjacent parts therefore keep common corners."""
 
 
 def polygons(shape: Any) -> list[Polygon]:
-    """The polygons of a shape, without slivers."""
+    """Return the polygons of a shape, without slivers."""
     parts = getattr(shape, "geoms", [shape])
     return [part for part in parts if isinstance(part, Polygon) and part.area > 1e-4]
 
 
 def rectangle_polygon(center: Array, heading: float, length: float, depth: float) -> Polygon:
-    """A rectangle around a place (2,), `length` metres along a heading (radians) and `depth` metres across it."""
+    """Return a rectangle around a place (2,), `length` m along a heading (radians) and `depth` m across it."""
     c, s = np.cos(heading), np.sin(heading)
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [length / 2, depth / 2]
     return Polygon(corners @ np.array([[c, s], [-s, c]]) + center)
 
 
 def is_free(region: Any, place: Array, distance: float = 0.0) -> bool:
-    """Whether a place (2,) is outside a prepared region and at least `distance` metres from it."""
+    """Return whether a place (2,) is outside a prepared region and at least `distance` metres from it."""
     point = Point(place)
     return not shapely.intersects(region, point) and (distance <= 0 or shapely.distance(region, point) >= distance)

@@ -1,8 +1,8 @@
-"""The roads of a town as its SUMO network has them: edges, junctions, lanes, and the carriageway that they make.
+"""The roads of a town in its SUMO network: edges, junctions, lanes, and the carriageway that they form.
 
-Left-hand traffic: its scenery is grown in a mirror, which takes y to -y, where the network is one for right-hand
-traffic. What stands beside the road, signals, markings and sidewalks then need to know of one side only;
-`RoadGraph.mirrored` says that results have to be taken back.
+For left-hand traffic, the network is mirrored (y becomes -y) to one for right-hand traffic, and the scenery is built
+for that. Code for roadside objects, signals, markings and sidewalks therefore handles one side only.
+`RoadGraph.mirrored` marks results that have to be mirrored back.
 """
 
 import re
@@ -33,13 +33,13 @@ _NET_TAG: Final = re.compile(rb"<net\b[^>]*>")
 
 
 def is_lefthand(network: bytes) -> bool:
-    """Whether a SUMO network's root says so."""
+    """Return whether a SUMO network is one with left-hand traffic, by the attribute of its root."""
     root = _NET_TAG.search(network)
     return root is not None and re.search(rb'\blefthand="(true|1)"', root[0]) is not None
 
 
 def mirrored_town(network: bytes) -> bytes:
-    """The network seen in the mirror: shapes reflected, right turns made left ones and the other way round."""
+    """Return the mirrored network: shapes are reflected, and right turns become left turns and vice versa."""
     root = ElementTree.fromstring(network)
     root.attrib.pop("lefthand", None)
     for element in root.iter():
@@ -66,14 +66,14 @@ def _negative(number: str) -> str:
 
 @dataclass(frozen=True)
 class RoadLimits:
-    """Distances within which roads count."""
+    """Distances within which roads are considered."""
 
     own_roads_within_m: float = 600.0
-    """Roads of a user's own network count if they are nearer to the camera than this, metres."""
+    """Maximum distance from the camera of roads in a user's own network, metres; roads farther away are ignored."""
     barrier_m: float = 1.5
-    """Half the width, metres, below which a median between retaining walls holds a barrier only."""
+    """Half width below which a median between retaining walls holds only a barrier, metres."""
     height_within_m: float = 42.0
-    """The road's height at a place is that of the lanes nearer to it than this, metres."""
+    """Distance within which lanes determine the height of the road at a place, metres."""
 
 
 ROAD_LIMITS: Final = RoadLimits()
@@ -81,20 +81,19 @@ ROAD_LIMITS: Final = RoadLimits()
 
 @dataclass(frozen=True, eq=False)
 class RoadGraph:
-    """The roads of a town: edges and junctions of its SUMO network, their lanes, and the carriageway that these make.
+    """Roads of a town: edges and junctions of its SUMO network, their lanes, and the carriageway that they form.
 
-    In a town with left-hand traffic they are those of its mirror image (see `mirrored_town`).
+    In a town with left-hand traffic, all of them are those of its mirror image (see `mirrored_town`).
     """
 
     net: Any
-    """The network, as sumolib reads it."""
+    """Network, as sumolib reads it."""
     edges: tuple[Any, ...]
-    """The edges that vehicles drive on; in a user's own network, those near the camera
-    (`ROAD_LIMITS.own_roads_within_m`)."""
+    """Edges with vehicles; in a user's own network, only those near the camera (`ROAD_LIMITS.own_roads_within_m`)."""
     kinds: Mapping[str, Road]
-    """Features of the roads of each SUMO edge type in the network."""
+    """Features of the roads, by SUMO edge type."""
     mirrored: bool
-    """Whether places are those of the mirror image; `world` takes them back."""
+    """Whether places are those of the mirror image; `world` mirrors them back."""
 
     @classmethod
     def of(cls, town: Town) -> "RoadGraph":
@@ -116,22 +115,22 @@ class RoadGraph:
         return cls(net, tuple(edges), kinds, is_mirrored)
 
     def world(self, places: ArrayLike) -> Array:
-        """Places or directions (..., 2 or 3) of the graph in the world, or those of the world in the graph."""
+        """Convert places or directions (..., 2 or 3) of the graph to the world, or those of the world to the graph."""
         return _reflect(places, self.mirrored)
 
     # --------------------------------------------------------------------------------------------- edges and junctions
 
     def kind(self, edge: Any) -> Road:
-        """The features of an edge's road, by its SUMO type."""
+        """Return the features of an edge's road, by its SUMO type."""
         return self.kinds[edge.getType()]
 
     def edges_of(self, form: str) -> list[Any]:
-        """The edges whose roads have a form: they lie on the "ground", are "walled", or lead over a "bridge"."""
+        """Return the edges with roads of a form: on the "ground", "walled", or on a "bridge"."""
         return [edge for edge in self.edges if self.kind(edge).form == form]
 
     @cached_property
     def _ground_nodes(self) -> list[Any]:
-        """Nodes that are not on a deck."""
+        """Return the nodes that are not on a deck."""
         near = set(self.edges)
         return [
             node
@@ -140,7 +139,7 @@ class RoadGraph:
         ]
 
     def signal_distance(self, place: Array) -> float:
-        """Distance of a place (2,) from the nearest signalled junction, metres."""
+        """Return the distance of a place (2,) from the nearest signalled junction, metres."""
         nodes = [node.getCoord() for node in self.net.getNodes() if node.getType() == "traffic_light"]
         return min((float(np.hypot(*(place - node))) for node in nodes), default=np.inf)
 
@@ -148,10 +147,10 @@ class RoadGraph:
 
     @cached_property
     def ground_road(self) -> Region:
-        """The carriageway that lies on the ground."""
+        """Carriageway on the ground."""
         edges = [edge for edge in self.edges if self.kind(edge).form != "bridge"]
         whole = _carriageway(edges, self._ground_nodes)
-        # Between retaining walls the median belongs to the carriageway.
+        # Between retaining walls the median is part of the carriageway.
         walled = _carriageway(self.edges_of("walled"), [])
         return (
             unary_union([whole, walled.buffer(ROAD_LIMITS.barrier_m).buffer(-ROAD_LIMITS.barrier_m)])
@@ -161,7 +160,7 @@ class RoadGraph:
 
     @cached_property
     def walled_road(self) -> Region:
-        """The part of the carriageway on the ground that lies between retaining walls."""
+        """Part of the carriageway on the ground that is between retaining walls."""
         return (
             _carriageway(self.edges_of("walled"), [])
             .buffer(ROAD_LIMITS.barrier_m)
@@ -176,16 +175,16 @@ class RoadGraph:
 
     @cached_property
     def road(self) -> Region:
-        """Everything that is driven on, from above."""
+        """All carriageways, seen from above."""
         return unary_union([self.ground_road, *self.decks])
 
     # ----------------------------------------------------------------------------------------------------------- lanes
 
     def ground_lanes(self, *forms: str) -> Iterator[tuple[Any, float]]:
-        """Lanes of all roads of some forms, and of all junctions on the ground, as `Lanes` takes them.
+        """Yield the lanes of all roads of the given forms, and of all junctions on the ground, as `Lanes` takes them.
 
         Yields:
-            A lane of sumolib, and the width of what runs beside it at its height, metres.
+            A lane of sumolib, and the width of the strip beside it at the lane's height, metres.
         """
         for edge in self.edges:
             if self.kind(edge).form in forms:
@@ -201,14 +200,14 @@ class RoadGraph:
         return Lanes((lane, 0.0) for edge in self.edges_of("bridge") for lane in driven(edge))
 
     def road_level(self, center: ArrayLike) -> float:
-        """Height of the carriageway around a place (2,) of the world: that of most lanes' points there, metres."""
+        """Return the median height of the carriageway around a place (2,) of the world, metres."""
         points = Lanes((lane, 0.0) for edge in self.edges for lane in driven(edge)).points
         away = np.hypot(*(points[:, :2] - self.world(center)).T)
         return float(np.median(points[away <= max(ROAD_LIMITS.height_within_m, away.min()), 2]))
 
     @cached_property
     def lane_points(self) -> Mapping[str, Array]:
-        """(N, 3) places of the world on the lanes of each edge, one at about every metre, by the edge's name."""
+        """World positions (N, 3) on the lanes of each edge, about one per metre, by the edge's name."""
         out = {}
         for edge in self.edges:
             lines = [LineString(lane.getShape3D()) for lane in driven(edge)]
@@ -217,7 +216,7 @@ class RoadGraph:
         return out
 
     def seen_by(self, camera: Camera, reach: float) -> frozenset[str]:
-        """Names of the edges whose lanes a camera has in its image, nearer than `reach` metres."""
+        """Return the names of the edges with lanes in a camera's image within `reach` metres."""
         out = set()
         for name, points in self.lane_points.items():
             pixels, depth, valid = camera.project(points)
@@ -231,7 +230,7 @@ def _read_net(path: Path) -> Any:
 
 
 def _reflect(places: ArrayLike, mirrored: bool) -> Array:
-    """Places or directions (..., 2 or 3) with y turned round if they are seen in the mirror."""
+    """Return places or directions (..., 2 or 3), with y negated if they are mirrored."""
     out = np.array(places, dtype=np.float64)
     if mirrored:
         out[..., 1] *= -1
@@ -239,11 +238,11 @@ def _reflect(places: ArrayLike, mirrored: bool) -> Array:
 
 
 def _carriageway(edges: Sequence[Any], nodes: Sequence[Any]) -> Region:
-    """The area that the lanes of edges and the junctions at nodes cover."""
+    """Return the area that the lanes of edges and the junctions at nodes cover."""
     parts = [Polygon(node.getShape()) for node in nodes if len(node.getShape()) > 2]
     for edge in edges:
         parts += [LineString(lane.getShape()).buffer(lane.getWidth() / 2, cap_style="flat") for lane in driven(edge)]
-    # Growing and shrinking by some centimetres closes the slits between lanes and junctions.
+    # Buffering outwards and inwards by some centimetres closes the gaps between lanes and junctions.
     return unary_union(parts).buffer(0.2).buffer(-0.2).simplify(0.02)
 
 
@@ -251,39 +250,39 @@ def _carriageway(edges: Sequence[Any], nodes: Sequence[Any]) -> Region:
 
 
 def driven(edge: Any) -> list[Any]:
-    """An edge's lanes that cars may drive on, from right to left."""
+    """Return an edge's lanes that cars may use, from right to left."""
     return [lane for lane in edge.getLanes() if lane.allows("passenger")]
 
 
 def legs(node: Any) -> list[Any]:
-    """The edges that begin or end at a node."""
+    """Return the edges that begin or end at a node."""
     return [e for e in (*node.getIncoming(), *node.getOutgoing()) if not e.isSpecial() and driven(e)]
 
 
 def joins(edge: Any) -> int:
-    """Number of edges that end where this one does."""
+    """Return the number of edges that end at the same node."""
     return sum(leg.getToNode() is edge.getToNode() for leg in legs(edge.getToNode()))
 
 
 def is_minor(edge: Any) -> bool:
-    """Whether an edge's traffic gives way where it ends."""
+    """Return whether an edge's traffic gives way at its end."""
     connections = driven(edge)[0].getOutgoing()
-    # Vehicles that turn left from a main road give way too.
+    # Vehicles that turn left from a main road also give way.
     return bool(connections) and all(connection.getState() in ("m", "s", "w") for connection in connections)
 
 
 def is_signalled(edge: Any) -> bool:
-    """Whether an edge ends at a junction with traffic lights."""
+    """Return whether an edge ends at a junction with traffic lights."""
     return bool(edge.getToNode().getType() == "traffic_light")
 
 
 def half_width(edge: Any) -> float:
-    """Half of the width of an edge's lanes together, metres."""
+    """Return half of the total width of an edge's lanes, metres."""
     return float(sum(lane.getWidth() for lane in driven(edge)) / 2)
 
 
 def beside(edge: Any, s: float, offset: float) -> tuple[Array, float]:
-    """The place (2,) `s` metres along an edge and `offset` metres right of its kerb; the heading there (radians)."""
+    """Return the place (2,) `s` m along an edge and `offset` m right of its kerb, and the heading (radians)."""
     lane = driven(edge)[0]
     line = _line_of(lane)
     s = float(np.clip(s, 0.0, line.length - 0.5))
@@ -294,15 +293,15 @@ def beside(edge: Any, s: float, offset: float) -> tuple[Array, float]:
 
 @lru_cache(maxsize=4096)
 def _line_of(lane: Any) -> LineString:
-    """The middle line of a lane."""
+    """Return the centre line of a lane."""
     return LineString(lane.getShape())
 
 
 def places_along(edges: Sequence[Any], spacing: float, offset: float) -> Iterator[tuple[Any, Array, float]]:
-    """Places beside edges, every `spacing` metres along each and `offset` metres to the right of its kerb.
+    """Yield places beside edges, every `spacing` metres along each edge and `offset` metres to the right of its kerb.
 
     Yields:
-        The edge, the place (2,), and the heading there (radians).
+        The edge, the place (2,) and the heading there (radians).
     """
     for edge in edges:
         for s in np.arange(spacing / 2, driven(edge)[0].getLength(), spacing):
@@ -310,5 +309,5 @@ def places_along(edges: Sequence[Any], spacing: float, offset: float) -> Iterato
 
 
 def right_of(heading: float) -> Array:
-    """The unit vector (2,) to the right of a heading (radians)."""
+    """Return the unit vector (2,) to the right of a heading (radians)."""
     return np.array([np.sin(heading), -np.cos(heading)])

@@ -1,4 +1,4 @@
-"""Camera sites: those of the package's towns, and that of a user's own road."""
+"""Camera sites of the package's towns, and the site of a user's own road."""
 
 import math
 import tomllib
@@ -16,43 +16,43 @@ from skope.gen.towns.town import Mast, OwnRoad, Town, town_folder
 
 @dataclass(frozen=True, kw_only=True)
 class Site:
-    """A roadside camera with the traffic, weather and hour that it is recorded in."""
+    """A roadside camera with the traffic, weather and hour of its recordings."""
 
     name: str
     town: Town
     split: str
     mounting: str
-    """The object that the camera hangs on; the town's `sites.toml` names the source."""
+    """Object that the camera is mounted on; the town's `sites.toml` names the source."""
     sees: str
-    """The traffic that the camera looks at, in words."""
+    """Description of the traffic in the camera's view."""
     position: tuple[float, float, float]
     """World x, y and z of the camera, metres."""
     yaw_deg: float
-    """Viewing direction, degrees counter-clockwise from east."""
+    """Viewing direction: degrees counter-clockwise from east."""
     pitch_deg: float
-    """Viewing direction, degrees down from the horizon."""
+    """Viewing direction: degrees down from the horizon."""
     vehicles_per_hour: float
-    """Traffic on all ways into the town together; for a user's own camera, on all ways that pass it."""
+    """Total traffic on all routes into the town; for a user's own camera, on all routes that pass it."""
     weather: str
     time_of_day: str
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Ranges of conditions in place of those of weather and hour."""
+    """Ranges of conditions that replace those of weather and hour."""
     flows: str = ""
-    """Traffic as a SUMO route file has it, in place of `vehicles_per_hour`."""
+    """Traffic as the text of a SUMO route file, used instead of `vehicles_per_hour` if not empty."""
 
     @property
     def road(self) -> OwnRoad | None:
-        """The road of a user's own site."""
+        """Road of a user's own site; None for the sites of the package."""
         return self.town.road
 
     def camera(self, size: tuple[int, int], fov_deg: float, distortion: Distortion | None = None) -> Camera:
-        """The site's camera.
+        """Return the site's camera.
 
         Args:
             size: Width and height of the image, pixels.
-            fov_deg: Horizontal field of view: of a fisheye lens, what it shows; of another one, without its
-                distortion. A user's own camera has its own.
-            distortion: That of the lens. Default: none, or that of a user's own camera.
+            fov_deg: Horizontal field of view, degrees: for a fisheye lens, the field that its image covers; for other
+                lenses, the field without distortion. Ignored for a user's own camera.
+            distortion: Distortion of the lens. Default: none, or that of a user's own camera.
         """
         if self.road:
             own = self.road.camera.resized(size)
@@ -74,7 +74,7 @@ class Site:
 
 @cache
 def sites() -> Mapping[str, Site]:
-    """All camera sites by name, town by town."""
+    """Return all camera sites by name, town by town."""
     out = {}
     for path in sorted(town_folder("").glob("*/sites.toml")):
         for name, row in tomllib.loads(path.read_text(encoding="utf-8")).items():
@@ -83,14 +83,14 @@ def sites() -> Mapping[str, Site]:
 
 
 def site(name: str) -> Site:
-    """The site of that name, or a UserError that lists them."""
+    """Return the site with the given name; raise a UserError that lists all names if there is none."""
     if name not in sites():
         raise UserError(f"site: {name!r} is not one of {', '.join(sites())}")
     return sites()[name]
 
 
 def sites_of(town: Town) -> tuple[Site, ...]:
-    """The camera sites of a town, whose views its scenery keeps clear."""
+    """Return the camera sites of a town; its scenery keeps their views clear."""
     if town.variant and town.variant.masts:
         return tuple(site_at(mast, town, f"view{i}") for i, mast in enumerate(town.variant.masts))
     if town.road is None:
@@ -99,7 +99,7 @@ def sites_of(town: Town) -> tuple[Site, ...]:
 
 
 def site_at(mast: Mast, town: Town, name: str) -> Site:
-    """A camera that hangs on a mast in a town, without traffic and weather of its own."""
+    """Return a site for a camera on a mast in a town, with default traffic and weather."""
     return Site(
         name=name,
         town=town,
@@ -116,7 +116,7 @@ def site_at(mast: Mast, town: Town, name: str) -> Site:
 
 
 def site_of(own: OwnRoad, **values: Any) -> Site:
-    """The site of a user's own camera; `values` are the fields of `Site` that the road does not decide."""
+    """Return the site of a user's own camera; `values` are the fields of `Site` that the road does not determine."""
     x, y, z = own.camera.position.tolist()
     yaw, pitch_down, _ = own.camera.angles
     return Site(

@@ -1,4 +1,4 @@
-"""Heights: of the lanes, as the network has them, and of the ground that follows them beside the road."""
+"""Heights of the lanes in the network, and of the ground beside the roads, which follows them."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -15,24 +15,24 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class TerrainCells:
-    """Cells of sloped ground."""
+    """Cell sizes of sloped ground, and smoothing of heights."""
 
     softening_m: float = 0.25
-    """Softens the weights of lanes, metres."""
+    """Distance that is added in the weights of lanes to smooth heights, metres."""
     finest_m: float = 2.0
-    """Smallest cells that sloped ground is cut into, metres."""
+    """Size of the smallest cells of sloped ground, metres."""
     coarsest_m: int = 64
-    """Largest cells that ground is cut into, metres; their sides lie at multiples of it."""
+    """Size of the largest ground cells, metres; their sides are at multiples of it."""
 
 
 TERRAIN_CELLS: Final = TerrainCells()
 
 
 class Lanes:
-    """Centre lines of lanes in space; heights beside them are the near lanes' mean, weighted by nearness."""
+    """Centre lines of lanes in space; the height beside them is the distance-weighted mean of the near lanes."""
 
     def __init__(self, lanes: Iterable[tuple[Any, float]]) -> None:
-        """Lanes of sumolib, each with the width of what runs beside it at its height."""
+        """Store lanes of sumolib, each with the width of the strip beside it at its height, metres."""
         starts, ends, numbers, halves, verges = [], [], [], [], []
         for number, (lane, verge) in enumerate(lanes):
             line = np.array(lane.getShape3D())
@@ -48,29 +48,29 @@ class Lanes:
 
     @property
     def points(self) -> Array:
-        """(N, 3) places on the lanes."""
+        """(N, 3) points on the lanes."""
         return np.concatenate([self._a, self._b])
 
     @property
     def beside(self) -> float:
-        """The widest way from a lane's middle to the end of what runs beside it, metres."""
+        """Largest distance from a lane's middle to the outer edge of the strip beside it, metres."""
         return float((self._half + self._verge).max())
 
     @cached_property
     def level(self) -> float | None:
-        """The height of all lanes, when they have only one."""
+        """Height of all lanes if they have a common one, else None."""
         z = self.points[:, 2]
         return float(z[0]) if np.ptp(z) < 1e-6 else None
 
     def near(self, places: Array, reach: float) -> tuple[Array, Array]:
-        """Places (N, 2) -> (N,) height of lanes there, (N,) distance from what runs beside them; nan, inf if far."""
+        """Return lane heights (N,) at places (N, 2), and distances (N,) from strips beside lanes; nan, inf if far."""
         place, segment = self._tree.query(shapely.points(places), predicate="dwithin", distance=reach)
         a, along = self._a[segment], self._b[segment] - self._a[segment]
         squared = np.maximum((along[:, :2] ** 2).sum(axis=1), 1e-12)
         share = np.clip(((places[place] - a[:, :2]) * along[:, :2]).sum(axis=1) / squared, 0, 1)
         foot = a + share[:, None] * along
         distance = np.hypot(*(places[place] - foot[:, :2]).T)
-        # Of each lane the nearest segment counts.
+        # Only the nearest segment of each lane is used.
         order = np.lexsort((distance, self._lane[segment], place))
         place, segment, foot, distance = place[order], segment[order], foot[order], distance[order]
         pair = np.stack([place, self._lane[segment]])
@@ -87,25 +87,25 @@ class Lanes:
 
 
 class GroundSurface:
-    """Heights of carriageways on the ground and of the ground beside them."""
+    """Heights of the carriageways on the ground and of the ground beside them."""
 
     def __init__(self, style: Terrain, driven: Lanes, shaping: Lanes) -> None:
-        """`driven`: lanes on the ground; `shaping`: those of them that the ground beside them follows."""
+        """Create the surface from `driven`, all lanes on the ground, and `shaping`, those that shape the ground."""
         self._style, self._driven, self._shaping = style, driven, shaping
 
     @cached_property
     def flat(self) -> bool:
-        """Whether everything is at height 0."""
+        """Whether all heights are 0."""
         return self.level == 0.0
 
     @property
     def level(self) -> float | None:
-        """The height of everything, when there is only one."""
+        """Common height of all ground, or None if heights vary."""
         same = self._driven.level == self._style.level and not self._style.waves
         return self._style.level if same else None
 
     def road(self, places: Array) -> Array:
-        """(N,) heights of the carriageway at places (N, 2)."""
+        """Return the heights (N,) of the carriageway at places (N, 2)."""
         if self.flat:
             return np.zeros(len(places))
         height, _ = self._driven.near(places, 12.0)
@@ -115,7 +115,7 @@ class GroundSurface:
         return height
 
     def beside(self, places: Array) -> Array:
-        """(N,) heights of the ground at places (N, 2), without kerbs: banks lead from roads to what lies around."""
+        """Return the ground heights (N,) at places (N, 2), without kerbs; banks connect roads and natural ground."""
         if self.flat:
             return np.zeros(len(places))
         around = self.natural(places)
@@ -135,7 +135,7 @@ class GroundSurface:
         return self._shaping.beside + (float(highest) + 1.0) / self._style.slope
 
     def natural(self, places: Array) -> Array:
-        """(N,) heights of the ground as it would be without roads."""
+        """Return the heights (N,) of the ground without roads."""
         out = np.full(len(places), self._style.level)
         for amplitude, length, direction, phase in self._style.waves:
             angle = np.radians(direction)
@@ -144,9 +144,9 @@ class GroundSurface:
         return out
 
     def cells(self, bounds: tuple[float, float, float, float], road: Any) -> NDArray[np.object_]:
-        """Squares that cover a rectangle, so small that the ground is as good as plane in each.
+        """Return squares that cover a rectangle, small enough for the ground in each to be nearly plane.
 
-        They have all their neighbours' corners, so that the ground has no gaps between large and small ones.
+        Their outlines include the corners of all neighbours, so that there are no gaps between large and small squares.
         """
         unit, size = TERRAIN_CELLS.finest_m, int(TERRAIN_CELLS.coarsest_m // TERRAIN_CELLS.finest_m)
         low = np.floor(np.array(bounds[:2]) / TERRAIN_CELLS.coarsest_m) * TERRAIN_CELLS.coarsest_m
@@ -164,7 +164,7 @@ class GroundSurface:
         return _with_corners(np.concatenate(leaves), low, unit)
 
     def _bends(self, middles: Array, size: float, road: Any) -> NDArray[np.bool_]:
-        """(N,) whether the ground in squares around `middles` is not plane."""
+        """Return whether (N,) the ground in squares around `middles` deviates from a plane."""
         steps = np.stack(np.meshgrid([-0.5, 0.0, 0.5], [-0.5, 0.0, 0.5]), axis=-1).reshape(-1, 2)
         places = (middles[:, None] + size * steps).reshape(-1, 2)
         by_road = shapely.dwithin(road, shapely.points(middles), 0.75 * size + 5.0)
@@ -176,7 +176,7 @@ class GroundSurface:
 
 
 def _unevenness(heights: Array) -> Array:
-    """(N,) how far heights (N, 9) on a 3 x 3 grid are from its corners' plane."""
+    """Return the deviation (N,) of heights (N, 9) on a 3 x 3 grid from the surface through the corners."""
     corners = heights[:, [0, 2, 6, 8]]
     flat = np.stack(
         [
@@ -193,7 +193,7 @@ def _unevenness(heights: Array) -> Array:
 
 
 def _with_corners(leaves: NDArray[np.int64], low: Array, unit: float) -> NDArray[np.object_]:
-    """Polygons of squares (column, row, size), with every other square's corner that lies on their edges."""
+    """Return the polygons of squares (column, row, size), including other squares' corners on their edges."""
     corners = {(x + dx * s, y + dy * s) for x, y, s in leaves.tolist() for dx in (0, 1) for dy in (0, 1)}
     out = []
     for x, y, s in leaves.tolist():

@@ -1,4 +1,4 @@
-"""Towns: the SUMO networks of the package, or a user's own road, from which layout, scenery and traffic follow."""
+"""Towns: SUMO networks of the package or a user's own road; they determine layout, scenery and traffic."""
 
 import hashlib
 import json
@@ -22,30 +22,31 @@ PixelOutline = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True)
 class Occluder:
-    """Something in the photograph that stands before the traffic."""
+    """Object in the photograph that is in front of the traffic."""
 
     polygon: PixelOutline
     """Outline of the object, pixels of the camera's image."""
     distance: float
-    """Planar depth, metres."""
+    """Planar depth of the object, metres."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OwnRoad:
-    """A user's road before one camera. Its name holds a digest of all the rest: equal names, equal roads."""
+    """A user's road in front of one camera; its name contains a digest, so equal names are equal roads."""
 
     title: str
     network: bytes = field(repr=False)
-    """A SUMO network (.net.xml)."""
+    """Content of a SUMO network file (.net.xml)."""
     style: str
-    """A `town.toml`; empty for the generic one."""
+    """Content of a `town.toml`; empty for the generic style."""
     camera: Camera
     photograph: bytes = field(default=b"", repr=False)
-    """Photograph of the empty road: the bytes of an image file of the camera's size or a multiple. Empty to grow
-    scenery instead."""
+    """Photograph of the empty road: bytes of an image file with the camera's size or a multiple of it.
+
+    If empty, scenery is generated instead."""
     occluders: tuple[Occluder, ...] = ()
     shades: tuple[PixelOutline, ...] = ()
-    """Ground that lies in shadow in the photograph, pixels of the camera's image."""
+    """Outlines of shaded ground in the photograph, pixels of the camera's image."""
 
     def __post_init__(self) -> None:
         safe_names.name("title", self.title)
@@ -56,7 +57,7 @@ class OwnRoad:
         return _name_of_road(self)
 
     def picture(self, size: tuple[int, int]) -> Pixels:
-        """(H, W, 3) RGB photograph at an image size (width, height)."""
+        """Return the RGB photograph (H, W, 3) at an image size (width, height)."""
         bgr = cv2.imdecode(np.frombuffer(self.photograph, dtype=np.uint8), cv2.IMREAD_COLOR)
         assert bgr is not None
         smaller = size[0] < bgr.shape[1]
@@ -64,7 +65,7 @@ class OwnRoad:
         return np.asarray(cv2.cvtColor(sized, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
     def header(self) -> dict[str, Any]:
-        """The fields that JSON can hold."""
+        """Return the fields that JSON can store."""
         return {
             "title": self.title,
             "style": self.style,
@@ -76,7 +77,7 @@ class OwnRoad:
 
     @classmethod
     def of(cls, header: Mapping[str, Any], network: bytes, photograph: bytes) -> Self:
-        """The road of a `header` and its two files."""
+        """Return the road with a `header` and its two files."""
         return cls(
             title=header["title"],
             network=network,
@@ -98,70 +99,70 @@ def _name_of_road(road: OwnRoad) -> str:
 
 @dataclass(frozen=True)
 class Mast:
-    """Place and view of a camera in a town."""
+    """Position and view of a camera in a town."""
 
     position: tuple[float, float, float]
     """World x, y and z, metres."""
     yaw_deg: float
-    """Viewing direction, degrees counter-clockwise from east."""
+    """Viewing direction: degrees counter-clockwise from east."""
     pitch_deg: float
-    """Viewing direction, degrees down from the horizon."""
+    """Viewing direction: degrees down from the horizon."""
     fov_deg: float = 90.0
     """Horizontal field of view, degrees."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """Scenery grown anew along the roads of a town of the package: another place with the same network."""
+    """Redrawn scenery along the roads of a town of the package: another place with the same network."""
 
     seed: int
-    """Seed by which houses, trees, furniture and colours are drawn; 0 for a town's own style."""
+    """Seed for houses, trees, furniture and colours; 0 for the town's own style."""
     masts: tuple[Mast, ...] = ()
-    """Cameras whose views are kept clear, in place of those of the town's sites."""
+    """Cameras with clear views, which replace those of the town's sites."""
     distractors: int = 0
-    """Number of things around the masts that resemble vehicles or parts of them and are none."""
+    """Number of distractors around the masts: objects that resemble vehicles or parts of them."""
     lit_objects: int = 0
-    """Number of things around the masts that burn or shine at night and are no vehicles."""
+    """Number of burning or luminous objects around the masts at night, other than vehicles."""
     season: int = 0
-    """Seed by which the colours of plants and the bare trees are drawn; 0 for the usual summer."""
+    """Seed for the colours of plants and the choice of bare trees; 0 for the default summer."""
     randomised: int = 0
-    """Seed by which the colours and patterns of ground and walls are drawn; 0 for those of the materials."""
+    """Seed for the colours and patterns of ground and walls; 0 for those of the materials."""
 
 
 @dataclass(frozen=True)
 class Town:
-    """A town of the package, or a user's own road. Towns of one name and variant are equal."""
+    """A town of the package, or a user's own road. Towns with the same name and variant are equal."""
 
     name: str
     road: OwnRoad | None = field(default=None, compare=False, repr=False)
-    """The user's own road; None for the towns of the package."""
+    """User's own road; None for the towns of the package."""
     variant: Variant | None = None
-    """Differences of its scenery from that of the package; None where there are none."""
+    """Differences between its scenery and that of the package; None if there are none."""
 
     @classmethod
     def of(cls, road: OwnRoad) -> "Town":
-        """The town that consists of a user's own road."""
+        """Return the town that consists of a user's own road."""
         return cls(road.name, road)
 
     @property
     def network(self) -> Path:
-        """Path of the compiled SUMO network, a .net.xml file."""
+        """Path of the compiled SUMO network (.net.xml)."""
         return _network_file(self) if self.road else town_folder(self.name) / "town.net.xml"
 
 
 def town_folder(name: str) -> Path:
-    """Folder with the files of a town of the package."""
+    """Return the folder with the files of a town of the package."""
     return Path(str(resources.files("skope.gen.towns"))) / name
 
 
 @cache
 def towns() -> tuple[Town, ...]:
-    """All towns of the package."""
+    """Return all towns of the package."""
     return tuple(Town(name) for name in sorted(path.parent.name for path in town_folder("").glob("*/town.toml")))
 
 
 def source_digest(name: str) -> str:
-    """Digest of the plain XML files that the network of a town of the package is compiled from."""
+    """Return the digest of the plain XML files from which the network of a town of the package is compiled."""
     digest = hashlib.sha256()
     for path in sorted((town_folder(name) / "source").glob("*.xml")):
         digest.update(path.name.encode() + b"\n" + path.read_bytes())
@@ -170,7 +171,7 @@ def source_digest(name: str) -> str:
 
 @cache
 def _network_file(town: Town) -> Path:
-    """An own road's network as a file, for as long as the process lives: SUMO reads nothing else."""
+    """Write an own road's network to a file, since SUMO reads only files; it exists until the process ends."""
     assert town.road is not None
     path = Path(_scratch().name) / f"{town.name}.net.xml"
     path.write_bytes(town.road.network)

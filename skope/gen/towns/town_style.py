@@ -1,5 +1,7 @@
-"""A town's character as its `town.toml` states it, on top of the building kinds that all towns share; and seasons, from
-which grass and leaves have their colours and some trees are bare."""
+"""Style of a town, read from its `town.toml` and the building kinds that all towns share; and seasons.
+
+A season sets the colours of grass and leaves and the fraction of bare trees.
+"""
 
 import colorsys
 import tomllib
@@ -17,17 +19,17 @@ from skope.types import Range
 
 @dataclass(frozen=True, eq=False)
 class Season:
-    """Look of a town's plants in a season."""
+    """Appearance of a town's plants in a season."""
 
     colors: Mapping[str, tuple[float, float, float]]
-    """Colours of the materials of plants, sRGB in 0..1."""
+    """Colours of plant materials, sRGB in 0..1."""
     bare: float
-    """Share of broad-leaved trees without leaves."""
+    """Fraction of the broad-leaved trees without leaves."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _SeasonKind:
-    """Ranges of hue (degrees), saturation and value (0..1) of sRGB, that a kind of season draws from."""
+    """Ranges of hue (degrees), saturation and value (0..1) in sRGB from which a kind of season is drawn."""
 
     share: float
     grass: tuple[Range, Range, Range]
@@ -81,13 +83,13 @@ _PLANT_COLORS: Final[Mapping[str, tuple[str, float]]] = {
     "hedge": ("leaves", 0.72),
     "woods": ("leaves", 0.75),
 }
-"""The one of a kind's ranges that a material takes its colour from, and how much lighter it is."""
+"""Colour range of a season kind that each material uses, and the factor on its brightness."""
 _SPREAD_DEG: Final = 6.0
-"""Distance of the hues of materials with one range from each other, degrees."""
+"""Spread between the hues of materials that use the same range, degrees."""
 
 
 def drawn_season(rng: np.random.Generator) -> Season:
-    """Draw a season: its kind by the shares, its colours and share of bare trees evenly from the kind's ranges."""
+    """Draw a season: its kind by share, its colours and the fraction of bare trees uniformly from the kind's ranges."""
     shares = np.array([kind.share for kind in _SEASON_KINDS])
     kind = _SEASON_KINDS[int(rng.choice(len(_SEASON_KINDS), p=shares / shares.sum()))]
     drawn = {name: [rng.uniform(*span) for span in getattr(kind, name)] for name in ("grass", "leaves")}
@@ -105,40 +107,40 @@ class Road:
     """Features of all edges of one SUMO edge type."""
 
     form: Literal["ground", "walled", "bridge"] = "ground"
-    """Lie of the road: on the ground or a bank; between retaining walls; on a deck over another road."""
+    """Position of the road: on the ground or a bank; between retaining walls; on a deck over another road."""
     sidewalk: float = 0.0
     """Width of the sidewalk, metres; 0 for none."""
     shoulder: float = 0.0
     """Width of the paved strip beside the lanes, metres."""
     main: bool = False
-    """Shops, bus stops and more furniture stand along it."""
+    """Whether the road is a main road, with shops, bus stops and more furniture."""
     edge_lines: bool = False
     guard_rails: bool = False
     lights: float = 0.0
     """Distance between street lights, metres; 0 for none."""
     wires: bool = False
-    """Utility poles with wires stand along it."""
+    """Whether there are utility poles with wires along the road."""
 
     @property
     def verge(self) -> float:
-        """Width of what runs beside the lanes at their height, metres."""
+        """Width of the strip beside the lanes at their height, metres."""
         return max(self.sidewalk, self.shoulder) + 0.8
 
 
 @dataclass(frozen=True, kw_only=True)
 class Terrain:
-    """The ground away from roads."""
+    """Shape of the ground away from roads."""
 
     level: float = 0.0
     waves: tuple[tuple[float, float, float, float], ...] = ()
-    """Amplitude and length (metres), direction and phase (degrees) of the swells that it is made of."""
+    """Amplitude and length (metres), direction and phase (degrees) of each of the waves that form the ground."""
     slope: float = 0.5
-    """Rise over run of banks beside roads that are higher or lower than the ground."""
+    """Slope (rise over run) of banks beside roads that are higher or lower than the ground."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BuildingKind:
-    """A kind of building; ranges are drawn from evenly, lists by chance. Metres."""
+    """A kind of building; values are drawn uniformly from ranges and randomly from lists. Lengths in metres."""
 
     form: Literal["house", "tower", "hall", "barn", "silo"] = "house"
     length: Range
@@ -146,7 +148,7 @@ class BuildingKind:
     depth: Range
     storeys: tuple[int, int] = (2, 3)
     ground: float = 2.95
-    """Height of the ground floor."""
+    """Height of the ground floor, metres."""
     storey: float = 2.8
     walls: tuple[str, ...]
     roofs: tuple[str, ...] = ("tiles", "slate")
@@ -154,74 +156,74 @@ class BuildingKind:
     frames: tuple[str, ...] = ("frame",)
     bay: Range = (2.3, 3.1)
     window: Range = (0.95, 1.35)
-    """Widths of windows."""
+    """Range of the width of windows, metres."""
     pane: Range = (1.35, 1.6)
-    """Heights of windows."""
+    """Range of the height of windows, metres."""
     terraced: bool = False
-    """Whether buildings stand wall to wall with their neighbours."""
+    """Whether buildings adjoin their neighbours."""
     shop: bool = False
     balconies: bool = False
     shutters: bool = False
     drive: bool = False
-    """Whether some have a drive beside them."""
+    """Whether some of the buildings have a drive beside them."""
     parking: float = 0.0
-    """Depth of the car park before it."""
+    """Depth of the car park in front of the building, metres; 0 for none."""
     garden: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectRow:
-    """Row of objects along some of the roads; of a town's rows the first that fits a place counts."""
+    """Row of buildings along some of the roads; at each place, the first row that fits is used."""
 
     roads: tuple[str, ...] = ()
     """SUMO edge types of the roads; empty for all."""
     within: float = 1e9
-    """Distance from the nearest signalled junction, metres."""
+    """Maximum distance from the nearest signalled junction, metres."""
     kinds: Mapping[str, float]
-    """Shares of building kinds."""
+    """Shares of the building kinds."""
     setback: Range = (3.2, 6.5)
     """Range of the distance from the sidewalk to the front, metres."""
     gap: Range = (3.0, 8.0)
     """Range of the gap between neighbours that are not terraced, metres."""
     empty: float = 0.0
-    """Share of places that are left open."""
+    """Fraction of the places that are left open."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Planting:
-    """A line of trees along roads."""
+    """Line of trees along roads."""
 
     spacing: float
     offset: float
     """Distance from the kerb, metres."""
     chance: float
     wander: float = 0.25
-    """Distance of trees from their places, as a share of the offset."""
+    """Scatter of the trees around their regular positions, as a fraction of the offset."""
     roads: tuple[str, ...] = ()
     """SUMO edge types of the roads; empty for all roads on the ground."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gantry:
-    """A sign bridge over an edge."""
+    """Sign gantry over an edge."""
 
     edge: str
     at: float
-    """Place along the edge, metres; negative from its end."""
+    """Position along the edge, metres; negative values count from its end."""
     signs: tuple[str, ...]
-    """Colour material of each sign from left to right."""
+    """Colour material of each sign, from left to right."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TownStyle:
-    """All of a town's character."""
+    """Complete style of a town."""
 
     title: str
     kerb: float = 0.12
-    """Height of kerbs, metres; 0 for roads without."""
+    """Height of kerbs, metres; 0 for roads without kerbs."""
     terrain: Terrain = Terrain()
     roads: Mapping[str, Road]
-    """Features of roads by SUMO edge type."""
+    """Features of roads, by SUMO edge type."""
     road: Road = Road()
     """Features of all other roads."""
     rows: tuple[ObjectRow, ...]
@@ -232,37 +234,37 @@ class TownStyle:
     """Shares of tree species."""
     planting: tuple[Planting, ...]
     median: str = "grass"
-    """Ground of medians and islands."""
+    """Ground material of medians and islands."""
     median_trees: float = 0.0
-    """Chance of a tree in a median, each 11 m."""
+    """Probability of a tree in a median, every 11 m."""
     median_rails: bool = False
     open_ground: tuple[str, ...] = ("grass",)
-    """Ground away from the streets; more than one gives fields."""
+    """Ground materials away from the streets; more than one gives fields."""
     plaza: float = 0.0
-    """Width of the paved ground beside sidewalks where nothing is built, metres."""
+    """Width of the paved ground beside sidewalks at places without buildings, metres."""
     interchange: float = 0.0
-    """Ground between roads that is nowhere farther from one than this is left without buildings, metres."""
+    """Distance from roads up to which enclosed ground is left without buildings, metres."""
     fields_from: float = 60.0
-    """Distance of fields from roads, metres."""
+    """Minimum distance of fields from roads, metres."""
     fences: Mapping[str, float] = field(default_factory=lambda: {"hedge": 1.0})
-    """Shares of what encloses front gardens and open ground."""
+    """Shares of the kinds of fences and hedges around front gardens and open ground."""
     light: Literal["curved", "mast", "double", "timber"] = "curved"
-    """Form of the street lights."""
+    """Shape of the street lights."""
     furniture: Mapping[str, float] = field(default_factory=dict)
-    """Shares of what stands on sidewalks."""
+    """Shares of the kinds of furniture on sidewalks."""
     gantries: tuple[Gantry, ...] = ()
     barriers: tuple[tuple[str, float, float], ...] = ()
-    """Noise barriers: edge, from and to (metres along it)."""
+    """Noise barriers: edge, start and end (metres along the edge)."""
     horizon: Literal["hills", "skyline"] = "hills"
     hill_height: float = 1.0
     """Height of the hills around the town, as a multiple of 22 m."""
     season: Season | None = None
-    """Colours of plants in place of those of the materials, and which trees are bare; None for the usual summer."""
+    """Season, which sets the colours of plants and the fraction of bare trees; None for the default summer."""
 
 
 @lru_cache(maxsize=64)
 def style(town: Town) -> TownStyle:
-    """The style of a town, or of its variant."""
+    """Return the style of a town or of its variant."""
     if town.variant and town.variant.season:
         at_other_times = replace(town, variant=replace(town.variant, season=0))
         return replace(style(at_other_times), season=drawn_season(np.random.default_rng(town.variant.season)))
@@ -286,16 +288,16 @@ def style(town: Town) -> TownStyle:
 
 
 def varied_style(own: TownStyle, others: Sequence[TownStyle], rng: np.random.Generator) -> TownStyle:
-    """The style of another place of the same kind: what stands along the roads is drawn anew, the roads stay.
+    """Draw the style of another place of the same kind: roadside objects are drawn anew, the roads stay the same.
 
     Args:
         own: Style of the town.
-        others: Styles of all towns, from which trees, fences, street lights and open ground are taken.
-        rng: Draws.
+        others: Styles of all towns, which provide trees, fences, street lights and open ground.
+        rng: Random generator.
     """
 
     def from_others(name: str) -> Any:
-        """A town's value; its own where it has none, for then its roads have no place for such things."""
+        """Draw a town's value, or return the own value if it is empty: then the roads have no room for such objects."""
         there = [getattr(other, name) for other in others if getattr(other, name)]
         return getattr(own, name) and there[int(rng.integers(len(there)))]
 
@@ -365,7 +367,7 @@ def _read(town: Town) -> dict[str, Any]:
 
 
 def _fixed(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Lists as tuples, all the way down."""
+    """Convert lists to tuples recursively."""
 
     def fix(value: Any) -> Any:
         return tuple(fix(item) for item in value) if isinstance(value, list) else value
@@ -374,6 +376,6 @@ def _fixed(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def drawn_name(shares: Mapping[str, float], rng: np.random.Generator) -> str:
-    """A name, drawn with a probability in proportion to its share."""
+    """Draw a name with a probability proportional to its share."""
     names, weights = list(shares), np.array(list(shares.values()))
     return names[rng.choice(len(names), p=weights / weights.sum())]

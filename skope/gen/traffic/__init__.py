@@ -1,1 +1,1 @@
-"""Stage 1: traffic by SUMO."""
+"""Stage 1: traffic with SUMO."""

@@ -1,5 +1,7 @@
-"""Demand for traffic in a town: which vehicles, riders and drivers, ways through the network, when each sets out;
-SUMO's types of vehicles: how large each is, how it follows others, keeps its lane and speeds up."""
+"""Traffic demand of a town: vehicles, riders, drivers, routes and departure times, and SUMO's vehicle types.
+
+A vehicle type sets the size of a vehicle, and how it follows others, keeps its lane and accelerates.
+"""
 
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -17,21 +19,21 @@ from skope.gen.vehicles.model import Vehicle, straight_lwh
 from skope.gen.vehicles.paints import draw_paint
 
 RIDER_CLASSES: Final = {"cyclist": "bicycle", "motorcyclist": "motorcycle"}
-"""Road users on two wheels, by SUMO's vehicle class."""
+"""SUMO's vehicle class of each kind of rider of a two-wheeler."""
 COMPANY_SHARES: Final = {"cyclist": 0.30, "motorcyclist": 0.12}
-"""Share of the riders with somebody behind them who goes the same way."""
+"""Probability that another rider follows a rider on the same route, by kind; at most three follow."""
 
 
 @dataclass(frozen=True)
 class DemandLimits:
-    """Heavy vehicles and groups of riders."""
+    """Limits for heavy vehicles and groups of riders."""
 
     behind_s: float = 1.1
-    """Seconds between riders of a group."""
+    """Time between the riders of a group, seconds."""
     heavy_from_kg: float = 3500.0
     """Mass above which a vehicle counts as a goods vehicle or a bus, kilograms."""
     heavy_mps: float = 25.0
-    """Speed that the limiters of heavy vehicles allow, m/s."""
+    """Maximum speed of heavy vehicles, set by their speed limiters, m/s."""
 
 
 DEMAND_LIMITS: Final = DemandLimits()
@@ -43,11 +45,11 @@ class Trip:
 
     name: str
     model: str
-    """A model of the fleet, or one of `RIDER_CLASSES`."""
+    """Model of the fleet, or one of `RIDER_CLASSES`."""
     driver: str
     color: str
     depart: float
-    """Seconds."""
+    """Departure time, seconds."""
     edges: tuple[str, ...]
 
     @property
@@ -57,34 +59,34 @@ class Trip:
 
 @dataclass(frozen=True)
 class Riding:
-    """Number of riders, and how they ride."""
+    """Number of riders, and their riding style."""
 
     shares: Mapping[str, float]
-    """Number of riders of each kind for one vehicle."""
+    """Number of riders of each kind per vehicle."""
     narrow: bool = False
-    """Whether they pass between lanes, and some ride in groups."""
+    """Whether riders pass between lanes, and some ride in groups."""
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> "Riding":
-        """Draw the riders of a traffic in which they are labelled: from a few to a third of all."""
+        """Draw the riders of a traffic with labelled riders: from a few to a third of all road users."""
         return cls(
             {kind: float(np.exp(rng.uniform(np.log(0.03), np.log(0.25)))) for kind in RIDER_CLASSES}, narrow=True
         )
 
 
 USUAL_RIDERS: Final = Riding({"cyclist": 0.03, "motorcyclist": 0.02})
-"""Riders where they are not labelled."""
+"""Riders of a traffic in which they are not labelled."""
 
 
 @cache
 def kinds_of_drivers() -> Mapping[str, Mapping[str, Any]]:
-    """The kinds of drivers by name, as drivers.toml has them: their share, and SUMO's attributes of how they drive."""
+    """Return the kinds of drivers in `drivers.toml` by name: their share and SUMO attributes."""
     return _table("drivers.toml")
 
 
 @cache
 def _vehicle_mix() -> Mapping[str, Mapping[str, float]]:
-    """Shares of types of vehicles, by town."""
+    """Return the shares of the vehicle types, by town."""
     return _table("vehicle_mix.toml")
 
 
@@ -93,7 +95,7 @@ def _table(name: str) -> Mapping[str, Any]:
 
 
 def in_town(models: Mapping[str, FleetEntry], town: str) -> dict[str, FleetEntry]:
-    """The models with their shares in a town's traffic; as the fleet has them where the town's are not known."""
+    """Return the models with their shares in a town's traffic, or with the fleet's shares if the town has none."""
     shares: Mapping[str, float] = _vehicle_mix().get(town, {})
     if not shares:
         return dict(models)
@@ -118,16 +120,16 @@ def trips(
     passing: frozenset[str] = frozenset(),
     riders: Riding = USUAL_RIDERS,
 ) -> Iterator[Trip]:
-    """Poisson arrivals over all ways in for `duration` seconds, each to a random way out that is not the way back.
+    """Draw Poisson arrivals on all entries for `duration` seconds, each with a random exit that is not a U-turn.
 
     Args:
-        network: SUMO's network file.
-        models: The fleet, with its shares.
-        vehicles_per_hour: Arrivals of all kinds together.
-        duration: Seconds.
-        rng: Draws them.
-        passing: Edges of which each way leads over one; empty: any way.
-        riders: Number of those on two wheels for one vehicle, and how they ride.
+        network: SUMO network file.
+        models: Models of the fleet with their shares.
+        vehicles_per_hour: Arrival rate of all kinds together.
+        duration: Duration, seconds.
+        rng: Random generator for all draws.
+        passing: Edges; each route uses at least one of them. Empty: any route.
+        riders: Number of riders per vehicle, and their riding style.
     """
     routes = [way for way in ways(network) if not passing or not passing.isdisjoint(way[0])]
     weights = np.array([weight for _, weight in routes])
@@ -152,24 +154,24 @@ def trips(
 
 
 def driver_shares() -> dict[str, float]:
-    """Shares of the kinds of drivers."""
+    """Return the shares of the kinds of drivers."""
     return {name: row["share"] for name, row in kinds_of_drivers().items()}
 
 
 def draw_name(shares: Mapping[str, float], rng: np.random.Generator) -> str:
-    """Draw one of the names, by their shares."""
+    """Draw a name with the given shares."""
     p = np.array(list(shares.values()))
     return list(shares)[rng.choice(len(p), p=p / p.sum())]
 
 
 @cache
 def ways(network: Path) -> list[tuple[tuple[str, ...], float]]:
-    """Every route from the network's rim to its rim, weighted by the lanes it starts and ends with."""
+    """Return every route across the network, weighted by the lanes of its first and last edge."""
     import sumolib
 
     net = sumolib.net.readNet(str(network))
     edges = [edge for edge in net.getEdges() if edge.allows("passenger")]
-    # Where a road ends, turning back may be allowed.
+    # Turning back can be allowed at the end of a road.
     ways_in = [e for e in edges if all(other.getFromNode() is e.getToNode() for other in e.getIncoming())]
     ways_out = [e for e in edges if all(other.getToNode() is e.getFromNode() for other in e.getOutgoing())]
     out = []
@@ -189,11 +191,11 @@ _NARROW_TYPES: Final[Mapping[str, Mapping[str, str]]] = {
         "lcPushy": "0.8", "lcAssertive": "2", "lcSpeedGain": "5", "maxSpeedLat": "1.2", "accel": "3.5", "decel": "5",
     },
 }  # fmt: skip
-"""SUMO's attributes of riders who pass between lanes and along queues, on top of their drivers' manners."""
+"""SUMO attributes of riders who pass between lanes and along queues, in addition to those of their drivers."""
 
 
 def write_types(path: Path, models: Mapping[str, FleetEntry], riders: Riding = USUAL_RIDERS) -> None:
-    """Write SUMO's vehicle types: each model with each kind of driver, and riders."""
+    """Write SUMO's vehicle types: each model and kind of rider with each kind of driver."""
     root = ElementTree.Element("additional")
     for driver, row in kinds_of_drivers().items():
         manner = {key: str(value) for key, value in row.items() if key != "share"}
@@ -207,7 +209,7 @@ def write_types(path: Path, models: Mapping[str, FleetEntry], riders: Riding = U
 
 
 def _type_attributes(vehicle: Vehicle) -> dict[str, str]:
-    """Attributes of a vehicle's SUMO type: size, and how it follows others."""
+    """Return the attributes of a vehicle's SUMO type: its size, and how it follows others."""
     length, width, height = straight_lwh(vehicle)
     heavy = vehicle.mass > DEMAND_LIMITS.heavy_from_kg
     limited = {"maxSpeed": str(DEMAND_LIMITS.heavy_mps)} if heavy else {}

@@ -1,7 +1,8 @@
-"""Traffic from a SUMO route file (.rou.xml): who sets out when on which way; what drives there is the fleet.
+"""Traffic from a SUMO route file (.rou.xml), which sets departure times and routes; the vehicles are of the fleet.
 
-Read are <route>, <vType> (its vClass), <vehicle>, <trip> and <flow> with begin, end and one of number, period (a number
-or exp(rate)), vehsPerHour and probability; ways are given by edges, by the name of a route, or by from, to and via.
+The reader supports <route>, <vType> (its vClass), <vehicle>, <trip> and <flow>. A flow has begin, end and one of
+number, period (a number or exp(rate)), vehsPerHour and probability. Routes are given by edges, by the name of a route,
+or by from, to and via.
 """
 
 import itertools
@@ -32,7 +33,7 @@ _OF_CLASS: Final[Mapping[str, tuple[str, ...]]] = {
     "bus": ("bus", "articulated_bus"),
     "coach": ("bus",),
 }
-"""Types of the fleet that drive as one of SUMO's vehicle classes; all types as any other."""
+"""Vehicle types of the fleet for each vehicle class of SUMO; all other classes use all types."""
 RIDERS_OF_CLASS: Final = {vehicle_class: name for name, vehicle_class in RIDER_CLASSES.items()} | {
     "moped": "motorcyclist"
 }
@@ -44,9 +45,9 @@ class FlowLimits:
     """Units and limits of flows."""
 
     hour_s: float = 3600.0
-    """Seconds of an hour."""
+    """Seconds per hour."""
     most_per_hour: float = 1e5
-    """Most vehicles an hour that a flow may ask for; no road carries more."""
+    """Maximum number of vehicles per hour that a flow can request; no road carries more."""
 
 
 FLOW_LIMITS: Final = FlowLimits()
@@ -54,19 +55,19 @@ FLOW_LIMITS: Final = FlowLimits()
 
 @dataclass(frozen=True)
 class _Flow:
-    """Road users on one way: at one time, at even distances of time, or at random."""
+    """Road users on one route that depart once, at regular intervals or at random."""
 
     vehicle_class: str
-    """Empty where the file leaves it to us."""
+    """SUMO's vehicle class; empty if the file has none."""
     edges: tuple[str, ...]
     begin: float
     end: float
     period: float
-    """Mean time between two departures, seconds; inf for a single one, at `begin`."""
+    """Mean time between two departures, seconds; inf for a single departure at `begin`."""
     random: bool = False
 
     def departures(self, start: float, stop: float, rng: np.random.Generator) -> list[float]:
-        """Draw the times of departure within a window of time, seconds."""
+        """Draw the departure times within a time window, seconds."""
         low, high = max(start, self.begin), min(stop, self.end)
         if self.period == math.inf:
             return [self.begin] if start <= self.begin < stop else []
@@ -81,9 +82,10 @@ class _Flow:
 def scheduled(
     text: str, network: Path, models: Mapping[str, FleetEntry], *, duration: float, rng: np.random.Generator
 ) -> Iterator[Trip]:
-    """The trips of `duration` seconds from somewhere in a route file's time, which then is second 0.
+    """Yield the trips in a random window of `duration` seconds of a route file, with times from its start.
 
-    Each vehicle's model is drawn by the fleet's shares among those of its class. Raises UserError as `streams` does.
+    The model of each vehicle is drawn with the fleet's shares from those of its class. Raises UserError as `streams`
+    does.
     """
     flows = streams(text, network)
     first, last = min(one.begin for one in flows), max(max(one.begin, one.end) for one in flows)
@@ -105,10 +107,9 @@ def _model(vehicle_class: str, models: Mapping[str, FleetEntry], rng: np.random.
 
 @cache
 def streams(text: str, network: Path) -> tuple[_Flow, ...]:
-    """Read the streams that a route file asks for. Raises UserError naming the element that is wrong, without the
-    file's name."""
+    """Read the flows of a route file; raise a UserError that names the invalid element, but not the file."""
     if "<!DOCTYPE" in text:
-        raise UserError("has a DOCTYPE, which a route file needs not and whose entities are not read")
+        raise UserError("contains a DOCTYPE, which is not supported in route files; remove it")
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
@@ -121,13 +122,13 @@ def streams(text: str, network: Path) -> tuple[_Flow, ...]:
             try:
                 begin, end, period, random = _times(element)
                 if period < FLOW_LIMITS.hour_s / FLOW_LIMITS.most_per_hour:
-                    raise ValueError(f"more than {FLOW_LIMITS.most_per_hour:.0f} vehicles an hour")
+                    raise ValueError(f"more than {FLOW_LIMITS.most_per_hour:.0f} vehicles per hour")
             except ValueError as error:
                 raise UserError(f"{_name(element)}: {error}") from None
             kind = classes.get(element.get("type"), "")
             out.append(_Flow(kind, ways.of(element), begin, end, period, random))
     if not out:
-        raise UserError("no vehicle, trip or flow")
+        raise UserError("expected at least one vehicle, trip or flow, found none")
     return tuple(out)
 
 
@@ -136,13 +137,13 @@ def _name(element: ElementTree.Element) -> str:
 
 
 def _times(element: ElementTree.Element) -> tuple[float, float, float, bool]:
-    """Begin, end, mean period, and whether at random."""
+    """Return begin, end, mean period, and whether departures are random."""
     if element.tag != "flow":
         at = _number(element, "depart", "0")
         return at, at, math.inf, False
     begin, end = _number(element, "begin", "0"), _number(element, "end", "86400")
     if end <= begin:
-        raise ValueError("end: not after begin")
+        raise ValueError("end: expected a time after begin")
     if "number" in element.attrib:
         return begin, end, (end - begin) / max(_number(element, "number"), 1e-9), False
     if "vehsPerHour" in element.attrib:
@@ -155,14 +156,14 @@ def _times(element: ElementTree.Element) -> tuple[float, float, float, bool]:
 
 
 def _rate(period: str) -> float:
-    """Vehicles a second of `exp(rate)`."""
+    """Return the vehicles per second of `exp(rate)`."""
     match = EXPONENTIAL_PERIOD.fullmatch(period)
     try:
         rate = float(match[1]) if match else math.nan
     except ValueError:
         rate = math.nan
     if not 0 < rate < math.inf:
-        raise ValueError(f"period: expected exp(vehicles a second, a positive number), got {period!r}")
+        raise ValueError(f"period: expected exp(vehicles per second, a positive number), got {period!r}")
     return rate
 
 
@@ -177,7 +178,7 @@ def _number(element: ElementTree.Element, name: str, default: str = "") -> float
 
 
 class _Ways:
-    """Ways through a network as the elements of a route file give them."""
+    """Routes through a network, as given by the elements of a route file."""
 
     def __init__(self, root: ElementTree.Element, network: Path) -> None:
         import sumolib
@@ -192,20 +193,20 @@ class _Ways:
             return self._connected(element, self._checked(element, route.get("edges", "").split()))
         ends = [element.get("from", ""), *element.get("via", "").split(), element.get("to", "")]
         if not all(ends):
-            raise UserError(f"{_name(element)}: expected a route that the file has, or from and to")
+            raise UserError(f"{_name(element)}: expected a route of this file, or from and to")
         self._checked(element, ends)
         out = ends[:1]
         for a, b in itertools.pairwise(ends):
             path, _ = self._net.getShortestPath(self._net.getEdge(a), self._net.getEdge(b), vClass="passenger")
             if path is None:
-                raise UserError(f"{_name(element)}: no way leads from {a} to {b}")
+                raise UserError(f"{_name(element)}: the network has no route from {a} to {b}")
             out += [edge.getID() for edge in path[1:]]
         return tuple(out)
 
     def _connected(self, element: ElementTree.Element, edges: tuple[str, ...]) -> tuple[str, ...]:
         for a, b in itertools.pairwise(edges):
             if self._net.getEdge(b) not in self._net.getEdge(a).getOutgoing():
-                raise UserError(f"{_name(element)}: no connection leads from {a} to {b}")
+                raise UserError(f"{_name(element)}: the network has no connection from {a} to {b}")
         return edges
 
     def _checked(self, element: ElementTree.Element, edges: list[str]) -> tuple[str, ...]:

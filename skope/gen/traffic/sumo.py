@@ -1,7 +1,7 @@
-"""Traffic by SUMO (libsumo): where every road user is at each step.
+"""Traffic simulation with SUMO (libsumo): the state of every road user at each step.
 
-The only module that imports libsumo. SUMO places a vehicle by the middle of its front bumper and measures angles as
-compass degrees; both are converted here, once.
+Only this module imports libsumo. SUMO uses the middle of the front bumper as the position of a vehicle, and compass
+degrees as its angle. Both are converted here.
 """
 
 import contextlib
@@ -28,22 +28,23 @@ from skope.gen.vehicles.trailer_motion import Follower, Hitch
 
 @dataclass(frozen=True)
 class SumoSteps:
-    """Steps of SUMO, and what is kept of each vehicle."""
+    """Step lengths of SUMO, and the data kept for each vehicle."""
 
     default_s: float = 0.025
     """Default length of a step, seconds."""
     lengths_ms: tuple[int, int, int, int] = (25, 20, 10, 5)
-    """Lengths that a step can have, ms: SUMO counts whole milliseconds and its drivers act every 100 of them."""
+    """Permitted lengths of a step, ms. SUMO counts whole milliseconds, and its drivers act every 100 ms."""
     road_behind_step_m: float = 0.05
-    """Spacing of the places that are kept of the road behind a vehicle, metres."""
+    """Spacing of the stored points of the road behind a vehicle, metres."""
     road_behind_m: float = 25.0
-    """Length of the road behind a vehicle that is kept, metres."""
+    """Stored length of the road behind a vehicle, metres."""
     watch_every: int = 4
-    """Steps between two checks of whether a vehicle that is not reported has come into the watched area."""
+    """Number of steps between two checks of whether further vehicles have entered the watched area."""
     lane_point_share: float = math.sqrt(0.5)
-    """Distance of the lane point from the rear axle, as a share of the wheelbase. The lane point of a vehicle is the
-    one that is kept on the middle of the lane; with this share the front axle runs as far outside in curves as the rear
-    axle inside."""
+    """Distance of the lane point from the rear axle, as a fraction of the wheelbase.
+
+    The lane point of a vehicle is the point that is kept on the centre line of the lane. With this fraction, the front
+    axle runs as far outside the centre line in curves as the rear axle runs inside."""
 
 
 SUMO_STEPS: Final = SumoSteps()
@@ -59,13 +60,13 @@ SUMO_OPTIONS: Final = {
     "lateral-resolution": 0.6,
     "default.action-step-length": 0.1,
 }
-"""SUMO's options: vehicles never vanish from a jam, and change lanes sideways in 0.6 m steps."""
+"""SUMO options: vehicles are never removed from a jam, and change lanes sideways in steps of 0.6 m."""
 
 
 def step_for(interval: float) -> float:
-    """Length of the longest step, seconds, that divides `interval`, the seconds between frames.
+    """Return the longest step, seconds, that divides `interval`, the time between frames in seconds.
 
-    Raises UserError where no length that SUMO can run with does.
+    Raises UserError if no permitted step length divides it.
     """
     milliseconds = round(1000 * interval)
     fits = [ms for ms in SUMO_STEPS.lengths_ms if milliseconds >= ms and milliseconds % ms == 0]
@@ -80,49 +81,49 @@ class Chassis:
 
     wheelbase: float
     lane_point: float
-    """From the rear axle forwards to the lane point (see `SUMO_STEPS.lane_point_share`)."""
+    """Distance from the rear axle forwards to the lane point (see `SUMO_STEPS.lane_point_share`)."""
     middle: float
-    """From the rear axle forwards to the vehicle's middle."""
+    """Distance from the rear axle forwards to the vehicle's middle."""
     front_axle: float
-    """From the front bumper back to the front axle."""
+    """Distance from the front bumper back to the front axle."""
     hitch: Hitch | None = None
-    """The trailer of an articulated vehicle."""
+    """Trailer of an articulated vehicle; None for other vehicles."""
 
     @classmethod
     def of(cls, vehicle: Vehicle) -> "Chassis":
-        """The distances of a vehicle."""
+        """Return the distances of a vehicle."""
         shape = vehicle.shape
         lane_point = SUMO_STEPS.lane_point_share * shape.wheelbase
         return cls(shape.wheelbase, lane_point, -shape.rear_axle_x, shape.front_overhang, Hitch.of(vehicle))
 
 
 class SumoTrailer(NamedTuple):
-    """Trailer of an articulated vehicle, which follows it along the middle of its lane."""
+    """Trailer of an articulated vehicle, following it along the centre line of its lane."""
 
     yaw: float
     """Heading, counter-clockwise from east, radians."""
     height: float
-    """Height of the road under its axles, metres."""
+    """Height of the road under the trailer's axles, metres."""
 
 
 class SumoVehicle(NamedTuple):
-    """State of a vehicle in SUMO at one step; there are tens of thousands in a recording, hence a tuple."""
+    """State of a vehicle in SUMO at one step; a tuple because a recording has tens of thousands of them."""
 
     chassis: Chassis
     lane_point: tuple[float, float]
     """World x and y of the vehicle's lane point (see `SUMO_STEPS.lane_point_share`), metres."""
     driven: float
-    """Distance that the vehicle has driven since it was first seen, metres."""
+    """Distance that the vehicle has travelled since it was first seen, metres."""
     height: float
     """Height of the road under the vehicle's middle, metres."""
     yaw: float
     """Heading, counter-clockwise from east, radians."""
     pitch: float
-    """Slope of the road from axle to axle, uphill positive, radians."""
+    """Slope of the road from axle to axle, radians; uphill is positive."""
     speed: float
-    """m/s."""
+    """Speed, m/s."""
     lamps: int
-    """Lamps that are lit, as bits of `LAMP_BITS`."""
+    """Lit lamps, as bits of `LAMP_BITS`."""
     trailer: SumoTrailer | None = None
 
 
@@ -131,37 +132,37 @@ class SumoRider:
     """State of a bicycle or motorcycle in SUMO at one step."""
 
     position: tuple[float, float, float]
-    """World: on the road under the middle, metres."""
+    """World position on the road under the middle, metres."""
     yaw: float
     """Heading, counter-clockwise from east, radians."""
     pitch: float
-    """Slope of the road, uphill positive, radians."""
+    """Slope of the road, radians; uphill is positive."""
     speed: float
-    """m/s."""
+    """Speed, m/s."""
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Everything that moves in SUMO at one step, by name."""
+    """States of all moving road users in SUMO at one step, by name, and of the signals."""
 
     time: float
-    """Seconds since the simulation began."""
+    """Time since the start of the simulation, seconds."""
     vehicles: Mapping[str, SumoVehicle]
     riders: Mapping[str, SumoRider]
     signals: Mapping[str, str]
-    """SUMO's state string of each signal program."""
+    """SUMO state string of each signal program."""
 
 
 _Place = tuple[float, float, float]
 
 
 class _RoadBehind:
-    """The road behind a vehicle: where its front bumper was, (x, y, z) in metres, by the distance driven."""
+    """Road behind a vehicle: the positions (x, y, z) of its front bumper in metres, by travelled distance."""
 
     def __init__(self, begun: float, place: _Place, yaw: float, slope: float) -> None:
-        """Start with the vehicle at `place`; `begun` are the metres it has driven by SUMO's count.
+        """Start with the vehicle at `place`; `begun` is the distance that it has travelled in SUMO, metres.
 
-        The road before is assumed to be straight, with the heading `yaw` and the slope `slope`, radians.
+        The road behind that point is assumed to be straight, with the heading `yaw` and the slope `slope`, radians.
         """
         self.begun = begun
         x, y, z = place
@@ -171,7 +172,7 @@ class _RoadBehind:
         self._places = [behind, place]
 
     def add(self, driven: float, place: _Place) -> None:
-        """Note the bumper's place after `driven` metres, and forget what lies too far back."""
+        """Add the bumper's position after `driven` metres, and drop positions that are too far back."""
         if driven - self._driven[-1] >= SUMO_STEPS.road_behind_step_m:
             self._driven.append(driven)
             self._places.append(place)
@@ -180,17 +181,17 @@ class _RoadBehind:
                 del self._driven[:first], self._places[:first]
 
     def at(self, driven: float) -> tuple[float, float]:
-        """x and y of where the bumper was after `driven` metres, interpolated."""
+        """Return the interpolated x and y of the bumper after `driven` metres."""
         (ax, ay, _), (bx, by, _), share = self._around(driven)
         return ax + (bx - ax) * share, ay + (by - ay) * share
 
     def height(self, driven: float) -> float:
-        """Height of the road where the bumper was after `driven` metres."""
+        """Return the height of the road at the bumper after `driven` metres."""
         (_, _, az), (_, _, bz), share = self._around(driven)
         return az + (bz - az) * share
 
     def _around(self, driven: float) -> tuple[_Place, _Place, float]:
-        """The known places before and after `driven` metres, and the share of the way from the one to the other."""
+        """Return the stored positions before and after `driven` metres, and the interpolation weight of the second."""
         known = self._driven
         after = bisect(known, driven)
         if after == len(known):
@@ -201,7 +202,7 @@ class _RoadBehind:
 
 
 class Traffic:
-    """A running SUMO simulation; there can be one in a process at a time. Use as a context manager."""
+    """A running SUMO simulation; at most one per process. Use as a context manager."""
 
     def __init__(
         self,
@@ -221,23 +222,23 @@ class Traffic:
 
         Args:
             network: Compiled SUMO network.
-            fleet: Models that drive, by name.
-            vehicles_per_hour: Traffic on all ways into the network together.
-            duration: Seconds for which trips are drawn.
-            rng: Draws trips, models, drivers and SUMO's seed.
-            flows: Text of a SUMO route file, in place of `vehicles_per_hour`.
-            passing: Edges; where given, `vehicles_per_hour` counts only trips over one of them.
+            fleet: Models in the traffic, by name.
+            vehicles_per_hour: Total arrival rate on all entries of the network.
+            duration: Time for which trips are drawn, seconds.
+            rng: Random generator for trips, models, drivers and SUMO's seed.
+            flows: Text of a SUMO route file, used instead of `vehicles_per_hour`.
+            passing: Edges; if given, `vehicles_per_hour` counts only trips over at least one of them.
             step: Length of a step, seconds.
-            watched: Whether a place (world x, y in metres) is watched. A vehicle is reported from the first time that
-                it comes to a watched place. Default: everywhere.
-            riders: How many riders there are among those who are drawn, and how they ride.
+            watched: Function that returns whether a position (world x, y in metres) is watched. A vehicle is reported
+                once it has entered a watched position. Default: everywhere.
+            riders: Number of riders per vehicle in drawn traffic, and their riding style.
 
         Raises:
             UserError: `flows` does not fit the network.
         """
         self._network, self._fleet, self._step, self._watched = network, fleet, step, watched
         self._riders = riders
-        # Drawn before the trips: a longer recording draws more trips, and must still begin like a shorter one.
+        # SUMO's seed is drawn before the trips, so that a longer recording, with more trips, begins like a shorter one.
         self._seed = int(rng.integers(1, 2**30))
         planned = (
             scheduled(flows, network, fleet, duration=duration, rng=rng)
@@ -269,7 +270,7 @@ class Traffic:
             "net-file": self._network,
             "seed": self._seed,
         }
-        # In memory where the system can: SUMO takes a comma in the name of a folder for the end of the file's name.
+        # In memory if possible, since SUMO takes a comma in a folder's name for the end of the file's name.
         with contextlib.ExitStack() as stack:
             if hasattr(os, "memfd_create"):
                 file = stack.enter_context(os.fdopen(os.memfd_create("types"), "wb"))
@@ -292,12 +293,12 @@ class Traffic:
         self._sumo.close()
 
     def warm_up(self, steps: int) -> None:
-        """Run some steps without reporting anything."""
+        """Run a number of steps without reporting."""
         for _ in range(steps):
             self._go_on()
 
     def _go_on(self) -> tuple[str, ...]:
-        """Run a step; returns the names of all vehicles in the network."""
+        """Run a step and return the names of all vehicles in the network."""
         sumo = self._sumo
         sumo.simulationStep()
         present: tuple[str, ...] = sumo.vehicle.getIDList()
@@ -313,7 +314,7 @@ class Traffic:
         return present
 
     def _road_behind(self, name: str) -> tuple[_RoadBehind, float]:
-        """The road behind a vehicle, its present place included, and the metres that it has driven."""
+        """Return the road behind a vehicle, including its present position, and the distance travelled, metres."""
         vehicle = self._sumo.vehicle
         driven, place = vehicle.getDistance(name), vehicle.getPosition3D(name)
         road = self._roads_behind.get(name)
@@ -328,7 +329,7 @@ class Traffic:
         return road, driven
 
     def _draw_trailer(self, name: str, chassis: Chassis, hitch: Hitch, driven: float) -> None:
-        """Let a vehicle's trailer follow; from the network's rim on, so that it never is where none could be."""
+        """Move a vehicle's trailer; it follows from the edge of the network on, so its pose is plausible."""
         place = self._roads_behind[name].at(driven - chassis.front_axle - chassis.wheelbase + hitch.hinge)
         yaw = math.radians(90.0 - self._sumo.vehicle.getAngle(name))
         if name not in self._trailers:
@@ -336,12 +337,12 @@ class Traffic:
         self._trailers[name].follow(*place, yaw)
 
     def steps(self, count: int) -> Iterator[Snapshot]:
-        """Run some steps and report each; see `step`."""
+        """Run a number of steps and report each; see `step`."""
         for _ in range(count):
             yield self.step()
 
     def step(self) -> Snapshot:
-        """Run a step; returns where all reported vehicles and riders are, and the state of the signals."""
+        """Run a step and return the states of all reported vehicles and riders, and of the signals."""
         sumo = self._sumo
         present = [name for name in self._go_on() if name in self._reported]
         riders = {name for name in present if self.trips[name].model in RIDER_CLASSES}
@@ -390,5 +391,5 @@ class Traffic:
 
 @cache
 def _lamps(signals: int) -> int:
-    """Bits of `LAMP_BITS` for the bits that SUMO has for a vehicle's signals."""
+    """Convert SUMO's signal bits of a vehicle to bits of `LAMP_BITS`."""
     return sum(ours for theirs, ours in _SUMO_LAMPS.items() if signals & theirs)

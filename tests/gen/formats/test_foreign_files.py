@@ -185,7 +185,7 @@ def test_what_may_not_be_derived_from_is_not_joined(skope: Any) -> None:
         convert(skope, f"in_{name}", name, *COCO)
     for order in (("free", "mixed"), ("mixed", "free")):
         code, _, err = skope("gen", "merge", *order, "both")
-        assert (code, "'CC BY-ND 4.0' does not allow to be joined with 'CC BY 4.0'" in err) == (2, True)
+        assert (code, "'CC BY-ND 4.0' cannot be combined with 'CC BY 4.0'" in err) == (2, True)
 
 
 def test_points_and_boxes_that_cannot_be_are_told(skope: Any) -> None:

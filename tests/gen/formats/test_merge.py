@@ -145,7 +145,7 @@ def test_the_folder_one_stands_in_can_be_joined(skope: Any, monkeypatch: pytest.
         (lambda: dataset("b", CC0, {"easy": "bridge"}), "site bridge is in split easy, and in train of a"),
         (lambda: dataset("b", CC0, {"easy": "x"}), "is in split easy, the same image in train of a: test images"),
         (lambda: dataset("b", CC0, {"train": "x"}, scheme=PUBLISHED), "b: has keypoint scheme skope3d, a has skope33"),
-        (lambda: dataset("b", ND, {"train": "x"}), f"licence: '{ND}' does not allow to be joined with '{BY}'"),
+        (lambda: dataset("b", ND, {"train": "x"}), f"licence: '{ND}' cannot be combined with '{BY}'"),
         (lambda: Path("b").mkdir(), "b: no dataset.json in it"),
         (lambda: (dataset("b", BY, {"train": "x"}) / "annotations" / "train.json").unlink(), "b: has no annotations"),
         (lambda: Path("b").symlink_to("a"), "a dataset is listed twice"),
@@ -193,7 +193,7 @@ def test_licences() -> None:
     for (a, b), expected in chart.items():
         if expected is None:
             for pair in ((a, b), (b, a)):
-                with pytest.raises(UserError, match="does not allow to be joined with"):
+                with pytest.raises(UserError, match="cannot be combined with"):
                     united(pair)
         else:
             assert united((a, b)) == expected

@@ -76,7 +76,7 @@ def test_the_readme_says_what_a_user_must_know(root: Path) -> None:
     ]
     assert "Not validated for safety or enforcement" in text
     assert "v = 1: inside the image but hidden" in text
-    assert "Of 4 vehicles the occlusion rule `others` takes 1, the rule `paper` 2." in text
+    assert "The occlusion rule `others` applies to 1 of 4 vehicles, the rule `paper` to 2." in text
     assert "| van | 2 | 0 | 66.7% |\n| sedan | 1 | 0 | 33.3% |" in text
     assert "CC BY 4.0 (https://creativecommons.org/licenses/by/4.0/)" in text
     assert "seed 3" in text
@@ -86,10 +86,10 @@ def test_the_readme_says_what_was_asked_for_of_light_and_traffic() -> None:
     said = card_text.markdown(
         content(weather=("rain", "fog"), time_of_day=("night",), vehicles={"suv": ""}, vehicle_share=0.2)
     )
-    assert "The weather is never another than rain or fog, which was asked for." in said
-    assert "The time of day is never another than night, which was asked for." in said
-    assert "Of the traffic 20% is of the models that were asked for: suv." in said
-    assert "asked for" not in card_text.markdown(content())
+    assert "The weather is always rain or fog, as requested." in said
+    assert "The time of day is always night, as requested." in said
+    assert "20% of the traffic is of the requested models: suv." in said
+    assert "requested" not in card_text.markdown(content())
 
 
 def test_the_card_of_another_tool_says_what_it_knows() -> None:
@@ -129,7 +129,7 @@ def test_a_licence_has_one_name(given: str, stated: str) -> None:
 
 
 def test_a_licence_without_a_name_is_refused() -> None:
-    with pytest.raises(UserError, match="--licence: expected a licence's name"):
+    with pytest.raises(UserError, match="--licence: expected the name of a licence"):
         licences.named("  ")
     result = CliRunner().invoke(app, ["gen", "--licence", "", "--out", "never"])
     assert "--licence" in str(result.exception)

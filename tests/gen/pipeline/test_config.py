@@ -67,13 +67,13 @@ def test_what_follows_from_a_light_goes_with_it_and_the_rest_of_a_site_file_stay
         ({"weather": ("hail",)}, "--weather: 'hail' is not one of clear, cloudy"),
         ({"weather": ("rain", "rain")}, "--weather: expected different names, got rain,rain"),
         ({"time_of_day": ("noon", "tea")}, "--time-of-day: 'tea' is not one of noon"),
-        ({"vehicle_share": 0.2}, "--share: is that of the models of --vehicles"),
-        ({"vehicles": {"mine": "ab"}, "vehicle_share": 0.0}, "--share: expected a share above 0, up to 1, got 0"),
-        ({"vehicles": {"mine": "ab"}, "vehicle_share": 1.5}, "--share: expected a share above 0, up to 1, got 1.5"),
+        ({"vehicle_share": 0.2}, "--share: applies to the models of --vehicles"),
+        ({"vehicles": {"mine": "ab"}, "vehicle_share": 0.0}, "--share: expected a share above 0 and up to 1, got 0"),
+        ({"vehicles": {"mine": "ab"}, "vehicle_share": 1.5}, "--share: expected a share above 0 and up to 1, got 1.5"),
         ({"vehicles": {"mine": "ab"}, "vehicle_share": float("nan")}, "--share: expected a share"),
         (
             {"vehicles": {"suv": ""}},
-            "--vehicles suv: is a model of the fleet, which drives by anyway; say with --share",
+            "--vehicles suv: is a model of the fleet and in the traffic anyway; set its share",
         ),
     ],
 )
@@ -88,7 +88,7 @@ def test_models_that_are_held_out_are_for_test_sites_only() -> None:
     changes = {"vehicles": {name: ""}, "vehicle_share": 0.3}
     assert asked(sites=("t01_main_west",), **changes).parameters.vehicle_share == 0.3
     with pytest.raises(
-        UserError, match=f"--vehicles {name}: is held out for test sites, and t01_mill_corner is a site"
+        UserError, match=f"--vehicles {name}: is held out for test sites, but t01_mill_corner is a training site"
     ):
         asked(sites=("t01_main_west", "t01_mill_corner"), **changes)
 
@@ -100,7 +100,7 @@ def test_further_models_belong_to_three_presets() -> None:
     for name in presets():
         assert all(plan.variation.further_models == (name in with_them) for plan in asked(name, frames=1).plans())
     # There they drive by anyway; elsewhere they need not be given a share.
-    with pytest.raises(UserError, match="--vehicles truck_mixer: is a model of the fleet, which drives by anyway"):
+    with pytest.raises(UserError, match="--vehicles truck_mixer: is a model of the fleet and in the traffic anyway"):
         asked("world", vehicles={"truck_mixer": ""})
     assert asked("varied", vehicles={"truck_mixer": ""}).parameters.vehicle_share is None
 
@@ -109,7 +109,7 @@ def test_further_models_belong_to_three_presets() -> None:
 def test_the_range_of_the_largest_vehicle_is_checked(span: tuple[float, float]) -> None:
     request = asked("nights", frames=1)
     variation = replace(request.parameters.variation, largest_vehicle=span)
-    with pytest.raises(UserError, match=r"^largest_vehicle: expected a range of shares above 0, up to 1, got "):
+    with pytest.raises(UserError, match=r"^largest_vehicle: expected a range above 0 and up to 1, got "):
         replace(request, parameters=replace(request.parameters, variation=variation))
 
 
@@ -121,7 +121,7 @@ def test_only_nights_chooses_how_large_vehicles_are() -> None:
 
 def test_a_photograph_has_one_light() -> None:
     own = own_site("--site", str(EXAMPLE / "site.toml"))
-    with pytest.raises(UserError, match=r"--time-of-day: .*site\.toml shows a photograph"):
+    with pytest.raises(UserError, match=r"--time-of-day: .*site\.toml has a photograph"):
         asked("demo", own=own, frames=4, time_of_day=("night",))
 
 
@@ -173,7 +173,7 @@ def test_recordings_of_an_own_road_fit_its_file() -> None:
         "test",
     ]
     assert len(asked(own=named, recordings=2).plans()) == 2
-    with pytest.raises(UserError, match=r"^--recordings: \S+ names the splits of 2 recordings$"):
+    with pytest.raises(UserError, match=r"^--recordings: expected 2, as \S+ has that number of splits, got \d+$"):
         asked(own=named, recordings=3)
     with pytest.raises(UserError, match="--recordings: expected a whole number from 1, got 0"):
         asked(recordings=0)

@@ -71,7 +71,7 @@ def test_a_recording_that_broke_is_made_again(whole: Path, tmp_path: Path) -> No
         [part for part in gen(out, "--workers", "1") if part != "--quiet"], capture_output=True, text=True, check=False
     )
     assert again.returncode == 0, again.stderr
-    assert f"{path}: is broken, and is made again" in again.stdout
+    assert f"{path}: is damaged, and is made again" in again.stdout
     assert content(out) == content(whole)
 
 

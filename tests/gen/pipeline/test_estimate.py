@@ -38,14 +38,14 @@ def test_a_dry_run_refuses_what_the_run_would_refuse(skope: Any) -> None:
     Path("d/thesis.txt").write_text("mine")
     code, out, error = skope(*FLAGS)
     assert (code, out) == (2, "")
-    assert error == "skope: d: holds other files and no dataset; choose an empty folder with --out\n"
+    assert error == "skope: d: contains other files and no dataset; choose an empty folder with --out\n"
     Path("d/thesis.txt").unlink()
     Path("d").rmdir()
     Path("d").write_text("mine")
     assert skope(*FLAGS)[2] == "skope: d: cannot be written: d is a file\n"
     Path("d").unlink()
     Store(Path("d")).begin(asked(seed=4).dataset_plan())
-    assert "was begun with other parameters" in skope(*FLAGS)[2]
+    assert "was started with other parameters" in skope(*FLAGS)[2]
 
 
 def test_what_is_there_is_not_made_again(tmp_path: Path) -> None:
@@ -64,7 +64,7 @@ def test_what_is_there_is_not_made_again(tmp_path: Path) -> None:
     assert whole.seconds is not None
     assert rest.seconds < whole.seconds
     path.with_name("00_000003.jsonl").touch()
-    assert estimate(request, store, 1).line == "all images are made already"
+    assert estimate(request, store, 1).line == "all images exist already"
 
 
 def test_more_work_takes_longer_and_more_workers_do_not(tmp_path: Path) -> None:
@@ -94,8 +94,7 @@ def test_an_estimate_in_words() -> None:
     assert Estimate(1, 2.5e9, 3000.0, 1, 1).line == "1 image to make, about 2.5 GB and 50 min with 1 worker"
     assert Estimate(7, 2.5e6, 60.0, 16, 2).line == "7 images to make, about 2 MB and 60 s with 16 workers on 2 cores"
     assert (
-        Estimate(7, 2.5e6, None, None, None).line
-        == "7 images to make, about 2 MB; how long a cluster takes is not known"
+        Estimate(7, 2.5e6, None, None, None).line == "7 images to make, about 2 MB; the time on a cluster is not known"
     )
 
 

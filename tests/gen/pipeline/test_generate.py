@@ -285,7 +285,7 @@ def test_light_that_is_worked_out_is_told_once_a_site(workers: str, tmp_path: Pa
         done = skope("gen", "--out", str(tmp_path / name), *flags)
         assert done.returncode == 0, done.stderr
         told.append(sorted(line for line in done.stdout.splitlines() if line.startswith("working out")))
-    assert told == [[f"working out the light of {site}" for site in ("t01_main_west", "t01_mill_corner")], []]
+    assert told == [[f"computing the light of {site}" for site in ("t01_main_west", "t01_mill_corner")], []]
 
 
 def test_a_dataset_that_another_tool_rewrote_goes_on(tmp_path: Path, whole: Path) -> None:
@@ -399,5 +399,5 @@ def test_a_ray_worker_with_other_versions_is_refused() -> None:
     from skope.errors import UserError
     from skope.gen.pipeline.ray_workers import Worker
 
-    with pytest.raises(UserError, match=r"has numpy .*, this run is made with 1\.0"):
+    with pytest.raises(UserError, match=r"has numpy .*; this run uses 1\.0"):
         Worker({"numpy": "1.0"})

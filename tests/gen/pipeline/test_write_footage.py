@@ -24,7 +24,7 @@ def test_video_and_labels_have_one_size(skope: Any) -> None:
 def test_odd_sizes_are_refused(skope: Any, size: str) -> None:
     code, out, error = skope("gen", "video", "t01_main_west", "--size", size, *SHORT)
     assert (code, out) == (2, "")
-    assert error == f"skope: --size: a video's width and height are even numbers of pixels, got {size}\n"
+    assert error == f"skope: --size: expected an even width and height for a video, got {size}\n"
     assert not Path("out").exists()
 
 
@@ -34,7 +34,7 @@ def test_an_odd_camera_of_a_site_file_is_refused(skope: Any, tmp_path: Path) -> 
     (tmp_path / "site.toml").write_text(toml({**BASE, "camera": camera}))
     code, out, error = skope("gen", "video", "site.toml", *SHORT)
     assert (code, out, error.count("\n")) == (2, "", 1)
-    assert error.startswith("skope: site.toml: camera.size: a video's width and height are even")
+    assert error.startswith("skope: site.toml: camera.size: expected an even width and height")
 
 
 def test_footage_is_made_again_and_other_footage_refused(skope: Any) -> None:
@@ -45,7 +45,7 @@ def test_footage_is_made_again_and_other_footage_refused(skope: Any) -> None:
     assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
     code, _, error = skope(*call, "--seed", "1")
     assert (code, error.count("\n")) == (2, 1)
-    assert "out/t01_main_west.mp4: is there already, of other footage (seed = 0, now 1)" in error
+    assert "out/t01_main_west.mp4: exists and belongs to other footage (seed = 0, now 1)" in error
     Path("out/t01_main_west.json").unlink()
     assert skope(*call)[0] == 2
     assert Path("out/t01_main_west.mp4").read_bytes() == before["t01_main_west.mp4"]

@@ -88,7 +88,7 @@ def test_jitter_moves_each_recordings_camera_a_little() -> None:
 
 
 def test_views_that_show_no_road_are_refused() -> None:
-    with pytest.raises(UserError, match="t01_mill_corner: of 500 cameras drawn none sees"):
+    with pytest.raises(UserError, match="t01_mill_corner: none of 500 drawn cameras sees"):
         camera_sampling.sample_camera(
             site("t01_mill_corner"),
             CameraRanges(SIZE, 30.0, None, {"yaw_by_deg": (90.0, 90.0), "pitch_deg": (60.0, 80.0)}),
