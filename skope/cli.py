@@ -21,7 +21,7 @@ class _Root(CommandGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            typer.echo("\nskope: stopped; the same command goes on from here, or begins again", err=True)
+            typer.echo("\nskope: stopped; run the same command again to resume or restart", err=True)
             raise typer.Exit(130) from None
 
 

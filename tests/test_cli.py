@@ -347,7 +347,7 @@ def test_ctrl_c_gets_a_line(skope: Any, monkeypatch: pytest.MonkeyPatch, words: 
     monkeypatch.setattr(inside, interrupted)
     code, _, error = skope(*words)
     assert code == 130
-    assert error.strip() == "skope: stopped; the same command goes on from here, or begins again"
+    assert error.strip() == "skope: stopped; run the same command again to resume or restart"
 
 
 def test_ctrl_c_to_a_process_and_its_workers_gets_the_same_line(tmp_path: Path) -> None:
@@ -367,7 +367,7 @@ def test_ctrl_c_to_a_process_and_its_workers_gets_the_same_line(tmp_path: Path) 
     os.killpg(process.pid, signal.SIGINT)
     _, error = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert error.strip().splitlines()[-1] == "skope: stopped; the same command goes on from here, or begins again"
+    assert error.strip().splitlines()[-1] == "skope: stopped; run the same command again to resume or restart"
     assert "Traceback" not in error
 
 

@@ -378,7 +378,7 @@ def test_a_checkpoint_is_scored_and_the_look_recorded(command: Any, checkpoint: 
     before = {path: path.read_bytes() for path in out.iterdir()}
     code, _, err = command(*scored, *common)
     assert (code, err.count("\n")) == (2, 1)
-    assert f"--out: {out} holds other work (not of {out / 'predictions.json'}" in err
+    assert f"--out: {out} holds the output of another run (not of {out / 'predictions.json'}" in err
     assert {path: path.read_bytes() for path in out.iterdir()} == before
 
 

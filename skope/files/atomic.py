@@ -110,7 +110,7 @@ def replacing_folder(path: Path, *, keep: bool = True) -> Iterator[Path]:
                 return
             if path.is_dir() and any(path.iterdir()):
                 raise UserError(
-                    f"{path}: holds other files than these; choose another folder, or move what is there away"
+                    f"{path}: holds other files than these; choose another folder, or move its content away"
                 )
             temporary.replace(whole)
     except UserError as error:  # what could not be written has its name below `path` for the user

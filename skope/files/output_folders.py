@@ -1,6 +1,6 @@
-"""Output folders belong to the work that began them: the same work goes on in them, other work is refused.
+"""Output folders: the same run resumes in its folder; a folder with the output of another run is rejected.
 
-`work.json` in such a folder says which command made it, of what, with which version of skope and when.
+`work.json` in an output folder records the command, its inputs and options, the version of skope and the date.
 """
 
 import os
@@ -23,32 +23,32 @@ from skope.files.json_files import json_bytes, parse_json, read_json, write_json
 from skope.version import __version__
 
 WORK_FILE: Final = "work.json"
-FOLDER_ADVICE: Final = "choose another folder, or move what is there away"
-_OTHER_FILE: Final = "is there already, with other content; choose another file, or move it away"
+FOLDER_ADVICE: Final = "choose another folder, or move its content away"
+_OTHER_FILE: Final = "exists with other content; choose another file or move it away"
 
 
 def claim_output(folder: Path, command: str, inputs: Iterable[Path], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Make `folder` the output folder of this work by writing its `work.json`, or refuse to.
+    """Make `folder` the output folder of this run by writing its `work.json`.
 
-    A folder can be claimed that is missing or empty, or whose `work.json` names the same work: what it holds is then
-    gone on with, or made again. What an earlier run was writing when it was killed is removed.
+    The folder must be missing, empty, or have a `work.json` of the same run. That run is then resumed or repeated.
+    Partial files of a killed run are removed.
 
     Args:
         folder: The output folder.
-        command: The command that writes, as in "skope eval".
-        inputs: Files whose contents are part of what the work is.
-        options: JSON values that are part of what the work is.
+        command: The command that writes, for example "skope eval".
+        inputs: Files whose contents identify the run.
+        options: JSON values that identify the run.
 
     Returns:
-        What `work.json` holds.
+        The content of `work.json`.
 
     Raises:
-        UserError: `folder` is a file, or holds other work or other files; nothing is written then.
+        UserError: `folder` is a file, or holds the output of another run or other files. Nothing is written.
     """
     work = work_of(command, inputs, options)
     found = _recorded_work(folder, "--out")
     if found is not None and (different := work_differences(found, work)):
-        raise UserError(f"--out: {folder} holds other work ({different}); {FOLDER_ADVICE}")
+        raise UserError(f"--out: {folder} holds the output of another run ({different}); {FOLDER_ADVICE}")
     remove_leftovers(folder)
     return _write_record(folder, work)
 
@@ -63,32 +63,32 @@ def replaceable_output(
     options: Mapping[str, Any] | None = None,
     flag: str = "--out",
 ) -> Iterator[Path]:
-    """Write pictures and pages that may replace those of an earlier call: all together, when all are drawn.
+    """Write images and pages that may replace those of an earlier call, all together when all are complete.
 
-    They take the place of what the same command drew of the same thing before, and of nothing else.
+    They replace only files that the same command wrote for the same subject.
 
     Args:
-        folder: Where the files shall lie.
-        command: The command that draws, as `work.json` names it.
-        of: What is drawn: the path of a file or folder, or what it is called.
-        inputs: Files whose contents decide what is drawn.
-        options: JSON values. Where they are given, the earlier files stay beside the new ones if they were drawn with
-            the same `options`, contents of `inputs` and version of skope; else they go.
-        flag: The flag that `folder` was given by, for messages.
+        folder: The output folder.
+        command: The command that writes, as in `work.json`.
+        of: The subject: the path of a file or folder, or a name.
+        inputs: Files whose contents decide what is written.
+        options: JSON values. If given, earlier files with the same `options`, contents of `inputs` and version of skope
+            are kept beside the new ones; others are removed.
+        flag: The option that gave `folder`, for messages.
 
     Yields:
-        An empty folder to draw into, whose files move to `folder` at the end.
+        An empty folder to write into. Its files move to `folder` at the end.
 
     Raises:
-        UserError: `folder` is a file, or holds other work or other files; nothing is changed then, nor where drawing
-            fails.
+        UserError: `folder` is a file, or holds the output of another run or other files. Nothing is changed then, nor
+            if writing fails.
     """
     work = work_of(command, inputs, options or {})
-    # A relative path stays true where both are moved together, and tells nothing of this machine's folders.
+    # A relative path stays valid if both move together, and does not reveal folders of this machine.
     work["of"] = os.path.relpath(of.resolve(), folder.resolve()) if isinstance(of, Path) else of
     found = _recorded_work(folder, flag)
     if found is not None and [found.get(name) for name in ("command", "of")] != [command, work["of"]]:
-        raise UserError(f"{flag}: {folder} holds other work ({_described(found)}); {FOLDER_ADVICE}")
+        raise UserError(f"{flag}: {folder} holds the output of another run ({_described(found)}); {FOLDER_ADVICE}")
     earlier = {name for name in _files(found or {}) if (folder / name).is_file()}
     same = options is not None and found is not None and found.get("skope") == __version__
     stale = set() if same and not work_differences(found, work) else earlier
@@ -97,8 +97,10 @@ def replaceable_output(
         new = {path.name for path in drawn.iterdir()}
         for name in sorted(new - earlier):
             if (folder / name).exists():
-                raise UserError(f"{flag}: {folder / name} is there already, and is no earlier look's; {FOLDER_ADVICE}")
-        # Whenever this is interrupted, the files that lie there are among those that the record names.
+                raise UserError(
+                    f"{flag}: {folder / name} exists and was not written by an earlier call; {FOLDER_ADVICE}"
+                )
+        # The record names all files at any time, so that an interrupted call leaves none unnamed.
         _write_record(folder, {**work, "files": sorted(earlier | new)})
         for name in stale - new:
             (folder / name).unlink(missing_ok=True)
@@ -108,11 +110,11 @@ def replaceable_output(
 
 
 def work_of(command: str, inputs: Iterable[Path], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Identify a work, as `work.json` does.
+    """Return what identifies a run, as `work.json` has it.
 
     Args:
-        command: The command, as in "skope eval track".
-        inputs: Files, by whose contents the work is identified.
+        command: The command, for example "skope eval track".
+        inputs: Files. Their contents identify the run.
         options: JSON values by name.
     """
     parts = {"command": command, "inputs": {str(path): sha256_of(path) for path in inputs}, "options": dict(options)}
@@ -121,11 +123,11 @@ def work_of(command: str, inputs: Iterable[Path], options: Mapping[str, Any]) ->
 
 
 def work_differences(held: Any, wanted: Mapping[str, Any]) -> str:
-    """Differences of the work `held` from `wanted` (as `work_of` gives it), in words; empty for the same work."""
+    """Describe how the run `held` differs from `wanted` (see `work_of`); return an empty text for the same run."""
     if not isinstance(held, dict) or held.get("command") != wanted["command"]:
         return _described(held)
     inputs, options = (held[name] if isinstance(held.get(name), dict) else {} for name in ("inputs", "options"))
-    # Files may have moved since: their contents decide, not their paths.
+    # Contents are compared, not paths: files may have moved.
     words = [f"not of {path}" for path, digest in wanted["inputs"].items() if digest not in inputs.values()]
     if not words and len(inputs) != len(wanted["inputs"]):
         words.append("of more files")
@@ -133,13 +135,13 @@ def work_differences(held: Any, wanted: Mapping[str, Any]) -> str:
 
 
 def changed_options(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
-    """The options that differ, in words, by name; one that is missing on a side is None there."""
+    """Describe the options that differ, by name; a missing option counts as None."""
     pairs = [(name, held.get(name), wanted.get(name)) for name in sorted({*held, *wanted})]
     return [f"{name} = {was}, now {now}" for name, was, now in pairs if was != now]
 
 
 def write_new(path: Path, data: bytes) -> None:
-    """Write a file where there is none; one of the same content is left as it is, and another one a UserError."""
+    """Write a file. An existing file with the same content is kept; one with other content is a UserError."""
     if not os.path.lexists(path):
         write_bytes(path, data)
         return
@@ -149,9 +151,9 @@ def write_new(path: Path, data: bytes) -> None:
 
 
 def check_file(path: Path, begins: Callable[[bytes], bool] = lambda _: True) -> None:
-    """Raise a UserError where `write_new` will find something else than a file that may be the same one.
+    """Raise a UserError if `write_new` will find a file that cannot be the same one.
 
-    `begins` says whether the first bytes of a file, at most 16, may be those of what will be written.
+    `begins` returns whether the first bytes of an existing file (at most 16) fit the content to be written.
     """
     if file_there := file_in_place_of(path.parent):
         raise UserError(f"{path}: cannot be written: {file_there} is a file")
@@ -160,14 +162,14 @@ def check_file(path: Path, begins: Callable[[bytes], bool] = lambda _: True) -> 
     if path.is_dir():
         raise UserError(f"{path}: is a folder; choose another file")
     if not path.is_file():
-        raise UserError(f"{path}: is there already, and no regular file; choose another file")
+        raise UserError(f"{path}: exists and is not a regular file; choose another file")
     with path.open("rb") as file:
         if not begins(file.read(16)):
             raise UserError(f"{path}: {_OTHER_FILE}")
 
 
 def move_new(source: Path, target: Path) -> None:
-    """Move a file to where none is; one of the same content is left as it is, and another one a UserError."""
+    """Move a file. An existing target with the same content is kept; one with other content is a UserError."""
     if not target.exists():
         source.replace(target)
     elif not same_content(source, target):
@@ -175,9 +177,9 @@ def move_new(source: Path, target: Path) -> None:
 
 
 def _recorded_work(folder: Path, flag: str) -> Any:
-    """Content of a folder's `work.json`; None where the folder is missing or holds nothing else.
+    """Return the content of a folder's `work.json`; None if the folder is missing or holds nothing else.
 
-    Raises UserError for a file, and for a folder with files of which no `work.json` says what they are.
+    Raises UserError for a file, and for a folder that holds files but no `work.json`.
     """
     if file := file_in_place_of(folder):
         raise UserError(f"{flag}: {file} is a file, expected a folder")
@@ -188,25 +190,25 @@ def _recorded_work(folder: Path, flag: str) -> Any:
     try:
         found = read_json(folder / WORK_FILE)
     except UserError as error:
-        raise UserError(f"{flag}: {folder} holds other work ({error}); {FOLDER_ADVICE}") from None
+        raise UserError(f"{flag}: {folder} holds the output of another run ({error}); {FOLDER_ADVICE}") from None
     return found if isinstance(found, dict) else {}
 
 
 def _write_record(folder: Path, work: Mapping[str, Any]) -> dict[str, Any]:
-    """Write `work.json`; returns what it holds."""
+    """Write `work.json` and return its content."""
     signed = {**work, "skope": __version__, "date": datetime.now(UTC).date().isoformat()}
     write_json(folder / WORK_FILE, signed)
     return signed
 
 
 def _described(held: Any) -> str:
-    """The work that `work.json` names, in words: of which command, of what."""
+    """Describe the run of a `work.json`: its command and subject."""
     command, of = (held.get(name) if isinstance(held, dict) else None for name in ("command", "of"))
-    return (f"of `{command}`" if command else "of another command") + (f", a look at {of}" if of else "")
+    return (f"`{command}`" if command else "another command") + (f" of {of}" if of else "")
 
 
 def _files(held: Mapping[str, Any]) -> set[str]:
-    """Names of the files that an earlier call of `replaceable_output` wrote; a path that leads elsewhere is none."""
+    """Return the names of files that an earlier `replaceable_output` wrote, without paths that lead elsewhere."""
     names = held.get("files")
     return (
         {name for name in names if isinstance(name, str) and name == Path(name).name}

@@ -156,7 +156,7 @@ def loading_workers(*, gpu: bool) -> int:
 def how_to_go_on(out: Path) -> str:
     """Advice after an interruption, in words."""
     if resumable(out):
-        return "the same command goes on from here"
+        return "run the same command again to resume"
     return "nothing was saved yet, so the same command begins again"
 
 

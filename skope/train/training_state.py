@@ -95,7 +95,7 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
     # Where several processes train together, the first one may already have written the configuration.
     if run.is_dir() and any(run.glob("[!.]*")) and not _begun(run):
         raise UserError(
-            f"{run}: holds other files and no run; choose another folder by --out, or move what is there away"
+            f"{run}: holds other files and no run; choose another folder by --out, or move its content away"
         )
     recipe = config.recipe
     model, detector_config, origin = init_weights.initialise(

@@ -1,4 +1,4 @@
-"""Output folders: own work goes on or is made again, other work is refused and left as it is."""
+"""Output folders: the same run resumes or is repeated; the output of another run is rejected and kept."""
 
 import json
 import os
@@ -38,7 +38,7 @@ def test_a_folder_is_taken_by_one_work(source: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("command", "content", "more", "options", "words"),
     [
-        ("skope eval pose", "a", [], {"score": 0.9}, "of `skope eval`"),
+        ("skope eval pose", "a", [], {"score": 0.9}, "`skope eval`"),
         ("skope eval", "b", [], {"score": 0.9}, "not of .*source.txt"),
         ("skope eval", "a", ["c"], {"score": 0.9}, "not of .*c"),
         ("skope eval", "a", [], {"score": 0.8}, r"score = 0.9, now 0.8"),
@@ -71,7 +71,9 @@ def test_a_folder_whose_record_says_nothing_is_refused(content: str, tmp_path: P
         lambda: claim_output(tmp_path, "skope eval", [], {"score": 0.9}),
         lambda: seen(tmp_path, "a", {"b": "b"}),
     ):
-        with pytest.raises(UserError, match=r"--out: .* holds other work \(.*\); choose another folder, or move what"):
+        with pytest.raises(
+            UserError, match=r"--out: .* holds the output of another run \(.*\); choose another folder, or move its"
+        ):
             taken()
     assert files_of(tmp_path) == before
 
@@ -101,7 +103,7 @@ def test_a_look_replaces_an_earlier_look_at_the_same_thing_and_no_other(tmp_path
         ("skope gen show", "fleet"),
     ):
         with (
-            pytest.raises(UserError, match=r"holds other work \(of `skope gen show`, a look at \.\./data\)"),
+            pytest.raises(UserError, match=r"holds the output of another run \(`skope gen show` of \.\./data\)"),
             replaceable_output(out, command, of),
         ):
             pytest.fail("nothing is drawn")
@@ -132,7 +134,9 @@ def test_a_users_file_among_the_pictures_is_neither_removed_nor_written_over(tmp
     seen(out, "fleet", {"b": "2"})
     assert shown(out) == {"b": "2", "notes": "mine"}
     before = files_of(out)
-    with pytest.raises(UserError, match="out/notes is there already, and is no earlier look's; choose another folder"):
+    with pytest.raises(
+        UserError, match="out/notes exists and was not written by an earlier call; choose another folder"
+    ):
         seen(out, "fleet", {"c": "3", "notes": "3"})
     assert files_of(out) == before
 
@@ -220,7 +224,7 @@ def test_a_file_is_written_where_none_is(tmp_path: Path) -> None:
     assert path.stat().st_mtime_ns == before
     for content in (b"1", b"2"):
         (tmp_path / "made").write_bytes(content)
-        refused = pytest.raises(UserError, match=r"camera.json: is there already") if content == b"2" else nullcontext()
+        refused = pytest.raises(UserError, match=r"camera.json: exists with other content") if content == b"2" else nullcontext()
         with refused:
             write_new(path, content)
         with refused:
@@ -231,7 +235,7 @@ def test_a_file_is_written_where_none_is(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "nowhere").symlink_to(tmp_path / "gone")
     for name in ("pipe", "nowhere"):
-        with pytest.raises(UserError, match=f"{name}: is there already, and no regular file"):
+        with pytest.raises(UserError, match=f"{name}: exists and is not a regular file"):
             write_new(tmp_path / name, b"1")
     with pytest.raises(UserError, match=r"camera\.json/x: cannot be written: .*camera\.json is a file"):
         write_new(path / "x", b"1")
@@ -252,7 +256,7 @@ POINTS = "column,row,x,y,z\n100,400,-4,10,0\n500,420,2,9,0\n320,300,0,20,0\n200,
 
 
 def test_each_command_makes_its_own_again_and_refuses_the_others(skope: Any, tmp_path: Path) -> None:
-    """Empty folder, own finished work, other work: by the command line."""
+    """Empty folder, finished output, output of another run: by the command line."""
     (truth, found), (other_truth, other_found) = scene(tmp_path, "one", 10), scene(tmp_path, "two", 20)
     Path("points.csv").write_text(POINTS)
     Path("others.csv").write_text(POINTS.replace("100,400", "101,400"))

@@ -42,7 +42,7 @@ def test_what_a_killed_process_was_writing_goes_when_its_folder_is_claimed_again
         writing_now.write_text("x")
         for name in (".c.part.csv", "d.1.part.csv"):
             (out / name).write_text("mine")
-        with pytest.raises(UserError, match="other work"):
+        with pytest.raises(UserError, match="another run"):
             claim_output(out, "skope eval", [], {"other": 1})
         assert (out / left).is_file()
         claim_output(out, "skope eval", [], {})
@@ -100,7 +100,7 @@ def test_what_is_there_is_the_same_only_where_all_of_it_is(tmp_path: Path, chang
     before = [(path, path.stat().st_mtime_ns) for path in sorted(out.rglob("*"))]
     if change:
         with pytest.raises(
-            UserError, match="out: holds other files than these; choose another folder, or move what is there away"
+            UserError, match="out: holds other files than these; choose another folder, or move its content away"
         ):
             again()
     else:

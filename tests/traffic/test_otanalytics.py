@@ -162,7 +162,7 @@ def test_another_camera_is_other_work(skope: Skope, tracks: Any) -> None:  # noq
     told["K"][0][0] += 5
     Path("camera.json").write_text(json.dumps(told))
     code, _, err = skope(*call, "--export", "otanalytics")
-    assert (code, "r/otanalytics holds other work" in err, err.count("\n")) == (2, True, 1)
+    assert (code, "r/otanalytics holds the output of another run" in err, err.count("\n")) == (2, True, 1)
     assert {path: path.read_bytes() for path in Path("r").rglob("*.*")} == before
     assert skope(*call)[0] == 0
 

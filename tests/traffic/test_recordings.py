@@ -162,10 +162,10 @@ def test_between_recordings_nothing_is_observed(skope: Skope) -> None:
     assert skope("eval", "traffic", early, late, *times, "--out", "r", "-q")[0] == 0, "the same work in another order"
     swapped = (times[0], times[3], times[2], times[1])
     code, _, err = skope("eval", "traffic", early, late, *swapped, "--out", "r")
-    assert (code, "other work" in err, err.count("\n")) == (2, True, 1)
+    assert (code, "another run" in err, err.count("\n")) == (2, True, 1)
     assert contents("r") == contents("again")
     code, _, err = skope("eval", "traffic", early, *times[:2], "--out", "r")
-    assert (code, "other work" in err) == (2, True)
+    assert (code, "another run" in err) == (2, True)
 
 
 def test_a_track_is_joined_over_a_short_gap_alone() -> None:
@@ -333,7 +333,7 @@ def test_tracks_know_when_their_footage_began(skope: Skope) -> None:
     assert skope(*call, "--start-time", "2026-11-26T10:00:00+01:00")[0] == 0
     assert door.measure_traffic("t", "site.toml").start == datetime(2026, 11, 26, 9, tzinfo=UTC)
     code, _, err = skope(*call, "--start-time", "2026-11-26T11:00:00+01:00")
-    assert (code, "other work (start_time = 2026-11-26T10:00:00+01:00" in err) == (2, True)
+    assert (code, "another run (start_time = 2026-11-26T10:00:00+01:00" in err) == (2, True)
     Path("site.toml").write_text(SITE.format(head="start = 2026-11-26T12:00:00"))
     report = door.measure_traffic("t", "site.toml")
     assert report.start == datetime(2026, 11, 26, 9, tzinfo=UTC), "its own begin, not that of another recording"

@@ -105,7 +105,7 @@ def test_from_tracks_to_a_report(skope: Skope, tracks: AnnotationFile) -> None:
     assert {path.name: path.read_bytes() for path in Path("r").iterdir()} == before
     Path("site.toml").write_text(Path("site.toml").read_text() + "[traffic]\ninterval_minutes = 5\n")
     code, _, err = skope("eval", "traffic", "t", "--out", "r")
-    assert (code, "other work" in err) == (2, True)
+    assert (code, "another run" in err) == (2, True)
 
 
 def test_python_counts_what_the_command_counts(tracks: AnnotationFile) -> None:
@@ -364,7 +364,7 @@ def test_footage_is_detected_and_tracked_first_and_once(
     assert {path.name: path.read_bytes() for path in Path("r").glob("*.csv")} == made
     numbered_video(Path("v.mp4"), 9)
     code, _, err = skope(*call)
-    assert (code, "other work" in err) == (2, True)
+    assert (code, "another run" in err) == (2, True)
 
 
 def test_a_site_without_gates_is_warned_of_before_minutes_are_spent(
@@ -522,7 +522,7 @@ def test_a_hand_count_gets_a_table_and_moves_intervals(skope: Skope, tracks: Ann
         row["count_high_90"] for row in tables[0] if row["count_high_90"]
     ]
     code, _, err = skope("eval", "traffic", "t", "--out", "r")
-    assert (code, "other work" in err) == (2, True)
+    assert (code, "another run" in err) == (2, True)
     Path("h.csv").write_text("gate,direction,class,begin,end,count\ngate,here,,0,5,-2\n")
     code, _, err = skope("eval", "traffic", "t", "--out", "new", "--manual-count", "h.csv")
     assert (code, err.count("\n"), Path("new").exists()) == (2, 1, False)

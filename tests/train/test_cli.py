@@ -112,7 +112,7 @@ def test_an_interruption_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(configure, "new", lambda *_, **__: config)
     write_json(Path("runs/skope/recipe.json"), replace(config, categories=("vehicle",)).to_dict())
     result = CliRunner().invoke(cli.app, ["--device", "cpu"])
-    assert "skope: stopped; the same command goes on from here" in result.stderr
+    assert "skope: stopped; run the same command again to resume" in result.stderr
 
 
 def test_flags_change_the_recipe() -> None:

@@ -74,7 +74,7 @@ def test_an_export_is_made_again_and_overwrites_nothing_else(to: str, checkpoint
     export(checkpoint, to, path, console=console)
     assert (path.read_bytes(), path.stat().st_mtime_ns) == before
     path.write_bytes(b"mine")
-    with pytest.raises(UserError, match="is there already, with other content"):
+    with pytest.raises(UserError, match="exists with other content"):
         export(checkpoint, to, path, console=console)
     assert path.read_bytes() == b"mine"
 
@@ -82,7 +82,7 @@ def test_an_export_is_made_again_and_overwrites_nothing_else(to: str, checkpoint
 @pytest.mark.parametrize(
     ("kind", "said"),
     [
-        ("file", "is there already, with other content"),
+        ("file", "exists with other content"),
         ("folder", "is a folder; choose another file"),
         ("below", "cannot be written: .*file is a file"),
     ],

@@ -149,7 +149,7 @@ def test_a_raw_stream_states_the_assumed_rate_and_takes_another(
     call = ("eval", "predict", path, "--checkpoint", random_run, "--min-size", 64, "--every-frame", "--out", "seen")
     assert "are assumed (--fps sets another rate)" in skope(*call)[2]
     code, _, error = skope(*call, "--fps", 4)
-    assert (code, "holds other work" in error) == (2, True)
+    assert (code, "holds the output of another run" in error) == (2, True)
 
 
 @pytest.mark.parametrize("rate", [600, 1000])

@@ -715,7 +715,7 @@ def test_other_footage_is_refused_in_a_folder_of_its_own(skope: Any, random_run:
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     code, _, err = skope(*call, "--every", 3)
     assert (code, err.count("\n")) == (2, 1)
-    assert f"{out} holds other work (every = 2, now 3)" in err
+    assert f"{out} holds the output of another run (every = 2, now 3)" in err
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     assert skope(*call, "--every", 2, "--overlay")[0] == 0  # the same work, with more to look at
     assert (out / "overlay.mp4").is_file()
@@ -733,7 +733,7 @@ def test_the_frames_themselves_say_what_footage_it_is(skope: Any, random_run: Pa
     (tmp_path / "imgs").rename(tmp_path / "a" / "imgs")  # others under the same name
     code, _, err = skope("eval", "predict", "a/imgs", *call)
     assert (code, err.count("\n")) == (2, 1)
-    assert "holds other work (source = " in err
+    assert "holds the output of another run (source = " in err
 
 
 @pytest.mark.parametrize("left", [b"\xff\xfe garbage", b"123\n", b'{"image": {"id": 1}}\n', b'{"image"'])

@@ -93,7 +93,7 @@ def test_hours_of_a_stream_make_one_report(skope: Skope, random_run: Path) -> No
     with Path("reports/1/counts.csv").open(encoding="utf-8-sig", newline="") as file:
         assert datetime.fromisoformat(next(csv.DictReader(file))["begin"]).tzinfo
     code, _, err = skope("eval", "traffic", "tracks/0", "tracks/1", "--site", "site.toml", "--out", "reports/0")
-    assert (code, "other work" in err) == (2, True), "the report of all is another folder"
+    assert (code, "another run" in err) == (2, True), "the report of all is another folder"
 
 
 @pytest.mark.slow
@@ -117,7 +117,7 @@ def test_what_a_killed_run_has_is_written_by_the_same_command(
     with streams.mjpeg(31, 20) as address:
         words = ("--checkpoint", random_run, "--camera", "camera.json", "--out", "seen", "--end", "3.6")
         code, _, err = skope("eval", "predict", address, *words)
-    assert (code, "other work" in err) == (2, True), "what is finished is another recording"
+    assert (code, "another run" in err) == (2, True), "what is finished is another recording"
 
 
 def _killed(*_: object) -> None:
