@@ -163,7 +163,7 @@ def test_vehicles_are_located_and_followed() -> None:
     assert [row["refused"] for row in records(middle)] == [None] * len(truth)
     tracks = door.track(located, [time for _, time in seen])
     assert sorted(round(float(np.median(track.speed))) for track in tracks) == [0, 12]
-    with pytest.raises(ValueError, match="rise"):
+    with pytest.raises(ValueError, match="increasing"):
         door.track(located, [0.0] * len(located))
 
 
@@ -238,9 +238,12 @@ def test_other_road_users_are_found_and_scored_beside_vehicles(
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ({"weathers": "rain"}, "weathers: no option of `skope gen`; there are camera_jitter, "),
+        ({"weathers": "rain"}, "weathers: unknown option of `skope gen`; expected one of camera_jitter, "),
         ({"weather": ["rain", "hail"]}, "weather: 'hail' is not one of clear, cloudy"),
-        ({"sites": "t01_mill_corner"}, r"sites: expected several names, as in \['t01_mill_corner'\], got a text"),
+        (
+            {"sites": "t01_mill_corner"},
+            r"sites: expected a list of names such as \['t01_mill_corner'\], got one string",
+        ),
         (
             {"conditions": {"rain": "much"}},
             "conditions: rain: expected a number or the two ends of a range, got 'much'",

@@ -1,4 +1,4 @@
-"""Datasets: generated, opened, and as PyTorch takes them."""
+"""Generate datasets, open them, and use them with PyTorch."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 
 def open_dataset(path: str | Path) -> Dataset:
-    """Open a dataset that `skope gen` made.
+    """Open a dataset of `skope gen`.
 
     Args:
         path: The dataset's folder.
 
     Returns:
-        The dataset. Iterating over it gives `LabelledImage`s: an image's record, its camera, its annotations, and its
-        pixels when they are asked for. `dataset.read("train")` gives all records of a split at once.
+        The dataset. Iterating over it yields `LabelledImage`s: record, camera and annotations of an image, and its
+        pixels on request. `dataset.read("train")` returns all records of a split.
 
     Raises:
         UserError: There is no finished dataset in the folder.
@@ -33,18 +33,18 @@ def open_dataset(path: str | Path) -> Dataset:
 
 
 def torch_dataset(path: str | Path, split: str = "train", *, supervise: str = "visible") -> "DetectionDataset":
-    """The images of a split as torchvision's detection models take them, for `torch.utils.data.DataLoader`.
+    """Return a split for `torch.utils.data.DataLoader` and torchvision's detection models.
 
     Args:
         path: The dataset's folder.
         split: One of `open_dataset(path).splits`.
-        supervise: "visible" for the keypoints that can be seen, "all" for hidden ones too.
+        supervise: "visible" for visible keypoints, "all" to include hidden ones.
 
     Returns:
         A `torch.utils.data.Dataset` of pairs: pixels (3, H, W) float32 from 0 to 1, and a dict of `boxes` (N, 4) xyxy
-        in pixels, `labels` (N,), `keypoints` (N, 33, 3) x, y, v, and `ignored_boxes` (M, 4), which count neither as
-        vehicles nor as background. Vehicles have label 1; where the dataset labels other road users, these follow with
-        labels from 2, in the order of the file's `categories`, and keypoints that are all v = 0.
+        in pixels, `labels` (N,), `keypoints` (N, 33, 3) x, y, v, and `ignored_boxes` (M, 4), which are neither
+        vehicles nor background. Vehicles have label 1. Other road users, if labelled, have labels from 2 in the order
+        of the file's `categories`; all their keypoints have v = 0.
 
     Raises:
         UserError: There is no such dataset or split.
@@ -73,34 +73,35 @@ def generate(
     quiet: bool = True,
     **options: bool | int | float | str | None,
 ) -> Dataset:
-    """Generate annotated images, or go on where a stopped call was; the same arguments give the same bytes.
+    """Generate annotated images, or resume a stopped call. The same arguments give the same bytes.
 
     Args:
-        out: The dataset's folder; a new one, or one that the same call began.
-        preset: What kind of dataset: "demo", "paper", "full", "extra", "varied", "world", "nights" or "conditions".
-        sites: Names of camera sites in place of the preset's (`skope gen sites` lists them).
-        site: One name in place of `sites`, or a site file of your own road and camera.
-        frames: Images for each site.
-        recordings: Recordings that a site's images are shared out to, each with its own weather, hour and traffic.
-        interval: Seconds between a recording's frames.
-        size: Width and height of the images, as in (1280, 720) or "1280x720".
-        weather: Weathers of the recordings: "clear", "cloudy", "overcast", "rain", "after_rain", "fog", "snow".
+        out: Dataset folder: a new one, or that of a stopped call with the same arguments.
+        preset: Preset: "demo", "paper", "full", "extra", "varied", "world", "nights" or "conditions".
+        sites: Names of camera sites that replace those of the preset (`skope gen sites` lists them).
+        site: One name instead of `sites`, or a site file of your own road and camera.
+        frames: Number of images per site.
+        recordings: Number of recordings per site. The images are divided among them; each has its own weather, hour and
+            traffic.
+        interval: Time between the frames of a recording, seconds.
+        size: Width and height of the images, for example (1280, 720) or "1280x720".
+        weather: Weather of the recordings: "clear", "cloudy", "overcast", "rain", "after_rain", "fog", "snow".
         time_of_day: Hours of the recordings: "noon", "low_sun", "dawn", "dusk", "night".
-        conditions: Conditions of light and camera (docs/rendering.md), a number or the ends of a range each.
+        conditions: Conditions of light and camera (docs/rendering.md): a number, or the two ends of a range.
         depth: Whether depth files are written.
-        seed: What everything that is random follows from.
-        workers: Processes; None: one for each core.
-        quiet: Print nothing on the way.
-        options: Any other option of `skope gen` by its name with underscores, as in `shape_jitter=True`.
+        seed: Seed of everything that is random.
+        workers: Number of processes; None: one per core.
+        quiet: Print no progress.
+        options: Other options of `skope gen`, named with underscores, for example `shape_jitter=True`.
 
     Returns:
         The finished dataset.
 
     Raises:
-        UserError: An argument is wrong or unknown, or the folder holds other work.
+        UserError: An argument is wrong or unknown, or the folder holds another dataset.
     """
     with suppress(ImportError):
-        # A program that goes on with torch crashes where Mesa's compiler (LLVM) was loaded before torchvision's.
+        # Importing torch crashes if Mesa's compiler (LLVM) was loaded before torchvision's.
         import torchvision  # noqa: F401
 
     from skope.gen.cli.options import HOUR_CHOICES, WEATHER_CHOICES, DatasetOptions, WorkerOptions
@@ -110,9 +111,9 @@ def generate(
     known = {one.name for one in fields(DatasetOptions)} - {"settings"}
     for name in options:
         if name not in known:
-            raise UserError(f"{name}: no option of `skope gen`; there are {', '.join(sorted(known))}")
+            raise UserError(f"{name}: unknown option of `skope gen`; expected one of {', '.join(sorted(known))}")
     if isinstance(sites, str):
-        raise UserError(f"sites: expected several names, as in [{sites!r}], got a text")
+        raise UserError(f"sites: expected a list of names such as [{sites!r}], got one string")
     check_number("seed", seed, 0, math.inf)
     asked = DatasetOptions(
         preset=preset,
@@ -136,7 +137,7 @@ def generate(
 
 
 def _names(argument: str, given: str | Sequence[str] | None, known: Sequence[str]) -> str | None:
-    """Names as the command line takes them. Raises UserError for one that is not known."""
+    """Return names as the command line takes them; a UserError for an unknown one."""
     if given is None:
         return None
     names = [given] if isinstance(given, str) else list(given)
@@ -146,7 +147,7 @@ def _names(argument: str, given: str | Sequence[str] | None, known: Sequence[str
 
 
 def _range(name: str, value: float | tuple[float, float]) -> str:
-    """A condition as the command line takes it. Raises UserError for what is neither a number nor two."""
+    """Return a condition as the command line takes it; a UserError for a wrong type."""
     ends = (value,) if isinstance(value, int | float) else tuple(value)
     if len(ends) not in (1, 2) or not all(isinstance(end, int | float) for end in ends):
         raise UserError(f"conditions: {name}: expected a number or the two ends of a range, got {value!r}")

@@ -1,4 +1,4 @@
-"""A detector that is ready to run: on images, and on videos."""
+"""`Detector`: a loaded detector that runs on images and videos."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,32 +22,32 @@ if TYPE_CHECKING:
 
 
 class Detector:
-    """A detector that is ready to run; `load_detector` makes one. Threads may share it."""
+    """A loaded detector; made by `load_detector`. Threads can share it."""
 
     def __init__(self, predictor: "Predictor") -> None:
         self._predictor = predictor
 
     @property
     def checkpoint(self) -> Path:
-        """The file that the weights were read from."""
+        """Path of the file with the weights."""
         return self._predictor.weights
 
     @property
     def categories(self) -> tuple[str, ...]:
-        """Names of what it has learnt to find, as in ("vehicle", "pedestrian")."""
+        """Names of the classes that it detects, for example ("vehicle", "pedestrian")."""
         return self._predictor.categories
 
     def __call__(self, image: Pixels | str | Path) -> "Detections":
-        """Find the vehicles in an image.
+        """Detect the vehicles in an image.
 
         Args:
             image: (H, W, 3) RGB pixels of type uint8, or the path of an image file. OpenCV reads BGR: give
                 `bgr[..., ::-1]`.
 
         Returns:
-            Detections with `boxes_xyxy` (N, 4), `scores` (N,) and `keypoints` (N, 33, 3), in pixels of the image and
-            best score first; `detections.above(0.5)` keeps those with higher scores. Where the detector has learnt
-            them, `road_users` has boxes, scores and categories of people on foot and on two wheels.
+            Detections with `boxes_xyxy` (N, 4), `scores` (N,) and `keypoints` (N, 33, 3) in image pixels, highest score
+            first. `detections.above(0.5)` keeps those with higher scores. If the detector was trained for them,
+            `road_users` has boxes, scores and categories of people on foot and on two wheels.
 
         Raises:
             UserError: The file cannot be read, or the pixels are of another shape or type.
@@ -55,13 +55,13 @@ class Detector:
         return self._found([_pixels("image", image)])[0]
 
     def many(self, images: Sequence[Pixels | str | Path]) -> "list[Detections]":
-        """Find the vehicles in several images, which go through the network together where they have one size.
+        """Detect the vehicles in several images. Images of one size are processed as one batch.
 
         Args:
             images: (H, W, 3) RGB pixels of type uint8, or paths of image files.
 
         Returns:
-            The detections of each image, in their order.
+            Detections of each image, in the order of the images.
 
         Raises:
             UserError: A file cannot be read, or pixels are of another shape or type.
@@ -85,25 +85,24 @@ class Detector:
         every_frame: bool = False,
         fps: float | None = None,
     ) -> Video:
-        """Look at a video, a stream or a folder of images, frame by frame; nothing is computed before it is asked for.
+        """Open a video, a stream or a folder of images. Computation starts with the first frame that is read.
 
         Args:
             source: A video file, an image, a folder or glob of images, or the address of a stream.
-            camera: The camera, or its file as `read_camera` takes it; with one the video has tracks in metres. A camera
+            camera: The camera, or its file as in `read_camera`. With a camera the video has tracks in metres. A camera
                 of another image size is scaled, with a warning.
-            ground: Height of the level road in the camera's world, metres; "auto": 0 unless the vehicles clearly show
-                another plane; "fit": the plane that they show; None: unknown, so that their size tells distance.
-            score: Detections above this are kept, 0 to 1.
-            every: Take every so many-th frame.
-            start_s: Begin at this second of a video.
-            end_s: End before this second of a video; None: at its end.
-            every_frame: Run the detector on every frame of a video. By default, as `skope eval predict` does, on a CPU
-                it runs twice a second, and points on the vehicles are followed between.
-            fps: Frames per second of image files, which carry no times, or of a video whose time stamps are missing or
-                wrong.
+            ground: Height of the level road in the camera's world, metres. "auto": 0, or a fitted plane if the vehicles
+                contradict 0. "fit": a fitted plane. None: unknown; distance follows from the size of the vehicles.
+            score: Score threshold, 0 to 1.
+            every: Frame stride: 1 takes every frame, 5 every fifth.
+            start_s: Start, seconds of the video.
+            end_s: End, seconds of the video; None for its end.
+            every_frame: Run the detector on every frame. By default it runs twice per second on a CPU, and points on
+                the vehicles are tracked in between, as in `skope eval predict`.
+            fps: Frame rate of image files, which have no times, or of a video with missing or wrong time stamps.
 
         Returns:
-            The footage: a for loop goes through its frames.
+            The footage. Iterate over it for its frames.
 
         Raises:
             UserError: The source or the camera cannot be read, or an argument is out of range.
@@ -122,7 +121,7 @@ class Detector:
 
 
 def _pixels(name: str, image: Pixels | str | Path) -> Pixels:
-    """The pixels of an argument, which may be the path of an image file."""
+    """Return the pixels of an argument, which can be the path of an image file."""
     return folder.read_image(Path(image)) if isinstance(image, str | PathLike) else check_image(name, image)
 
 
@@ -139,19 +138,20 @@ def load_detector(
     """Load a detector.
 
     Args:
-        checkpoint: A checkpoint file, the folder of a training run, or the name of weights that come with skope.
-        device: "auto" (a GPU where there is one), "cpu", "cuda" or "cuda:1".
-        backend: What computes the costly parts: "torch", "openvino" (2 to 4 times as fast on a CPU; pip install
-            'skope[openvino]'), "onnx", or "auto", as `skope eval predict` does: OpenVINO where it is installed and no
-            GPU is. OpenVINO takes 1.5 s more for an image whose size none of the last four sizes was.
-        precision: "float32", "bfloat16", "int8" (of OpenVINO), or "auto": the fastest that backend, processor and
-            checkpoint have. For the same figures on every machine: backend="torch", precision="float32".
-        min_size: Short side of the image in the network, pixels; None: that of the training.
-        min_score: Vehicles with lower scores are not reported, and cost no time.
-        tiles: "auto" to look at parts of an image too where it is larger than the network takes it.
+        checkpoint: A checkpoint file, the folder of a training run, or the name of shipped weights ("road33",
+            "road33-lite").
+        device: "auto" (a GPU if there is one), "cpu", "cuda" or "cuda:1".
+        backend: Inference backend: "torch", "openvino" (2 to 4 times as fast on a CPU; pip install 'skope[openvino]'),
+            "onnx", or "auto": OpenVINO if it is installed and there is no GPU, else torch. OpenVINO compiles for each
+            image size, which takes 1.5 s, and keeps the last four sizes.
+        precision: Number format: "float32", "bfloat16", "int8" (OpenVINO), or "auto": the fastest one that backend,
+            processor and checkpoint support. For equal results on all machines: backend="torch", precision="float32".
+        min_size: Short side of the image in the network, pixels; None for the size of the training.
+        min_score: Score threshold. Vehicles below it are not reported and cost no time.
+        tiles: "auto" to process tiles of an image, too, if it is larger than the network's input.
 
     Returns:
-        The detector, to be called with an image.
+        The detector. Call it with an image.
 
     Raises:
         UserError: There is no such checkpoint, it is damaged, or there is no such device.

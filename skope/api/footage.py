@@ -1,4 +1,4 @@
-"""Videos, streams and folders of images, frame by frame: what a detector finds there, and the vehicles' tracks."""
+"""Videos, streams and folders of images, frame by frame, with detections and tracks."""
 
 import itertools
 import math
@@ -29,41 +29,41 @@ if TYPE_CHECKING:
     from skope.video.footage import Footage
 
 RoadHeight = float | Literal["auto", "fit"] | None
-"""Height of the level road in the camera's world, metres, or how it is found: see `Detector.video`."""
+"""Height of the level road in the camera's world, metres, or the way to find it; see `Detector.video`."""
 _HIGHEST_M = 10_000.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class VideoFrame:
-    """A frame of a video, and what was found in it."""
+    """A frame of a video with its detections and tracks."""
 
     image: Pixels
     """(H, W, 3) RGB."""
     index: int
-    """Number of the frame among those that were taken, from 0."""
+    """Index of the frame among those that were taken, from 0."""
     name: str
-    """Name of the image's file; of a video its own and the frame's number in it."""
+    """Name of the image file; for a video, its name and the number of the frame."""
     time_s: float | None
-    """Seconds since the video's first frame; None for image files of which nothing says how many a second there are."""
+    """Seconds since the first frame of the video; None for image files without a frame rate."""
     detections: Detections
-    """The vehicles, with their `numbers` where they are followed from frame to frame, and other road users."""
+    """Vehicles and other road users. Vehicles that are tracked from frame to frame have `numbers`."""
     tracks: "tuple[TrackedRoadUser, ...]" = ()
-    """The road users in metres, where the video has a camera."""
+    """Road users in metres; empty if the video has no camera."""
     _all_tracks: "Tracks | None" = field(default=None, repr=False)
 
     def draw(self) -> Pixels:
-        """A copy of the image with what was found: tracks with number, class and speed, or detections with scores."""
+        """Return a copy of the image with tracks (number, class, speed), or detections and their scores."""
         if self._all_tracks is not None:
             return self._all_tracks.draw(self.image, self.index)
         return self.detections.draw(self.image)
 
 
 class Video:
-    """Footage that a detector looks at; `Detector.video` makes one.
+    """Footage with its detections; made by `Detector.video`.
 
-    Going through it gives a `VideoFrame` after the other, as they come. With a camera the whole video is looked at
-    first: where a vehicle was is known best when it is known how it went on. Detections that no other frame confirms
-    are left out then, and each frame has its `tracks`.
+    Iterating over it yields one `VideoFrame` after the other. Without a camera, frames come as they are read. With a
+    camera, the whole video is processed first, because later frames improve earlier positions. Detections that no
+    other frame confirms are then dropped, and each frame has its `tracks`.
     """
 
     def __init__(
@@ -74,16 +74,16 @@ class Video:
 
     @property
     def fps(self) -> float | None:
-        """Frames a second; None for live streams, and for image files of which nothing says it."""
+        """Frame rate, frames per second; None for live streams and for image files without a frame rate."""
         return self._image_fps or self._footage.fps
 
     def _time(self, image: Image, index: int) -> float | None:
-        """Second of a frame."""
+        """Return the time of a frame, seconds."""
         return image.time_s if self._image_fps is None else index / self._image_fps
 
     @property
     def skipped(self) -> tuple[str, ...]:
-        """Sources that could not be read so far, a line of text each."""
+        """Parts of the footage that could not be read until now, one line of text each."""
         return tuple(self._footage.skipped)
 
     @property
@@ -94,7 +94,7 @@ class Video:
         return self._with_detections() if self._job.camera is None else self._with_tracks()
 
     def _with_detections(self) -> Iterator[VideoFrame]:
-        """The frames as they come."""
+        """Yield the frames as they are read."""
         from skope.footage.predict_footage import found_in
 
         pictures = _Pictures()
@@ -110,14 +110,14 @@ class Video:
             )
 
     def _with_tracks(self) -> Iterator[VideoFrame]:
-        """The frames, read again after everything in them is known."""
+        """Yield the frames in a second pass, after all tracks are known."""
         tracks, folder = self.tracks(), Path(self._results.name)
         images = coco.read(folder / FRAMES_FILE).images
         results = itertools.groupby(coco.iter_all_results(folder / PREDICTIONS_FILE), lambda one: one.image_id)
         image_id, found = next(results, (None, iter(())))
         numbers = {image.id: index for index, image in enumerate(images)}
         for image, pixels in self._footage.frames():
-            if image.id not in numbers:  # the file was changed since
+            if image.id not in numbers:  # the file has changed
                 continue
             own: Iterable[AnyResult] = ()
             if image.id == image_id:
@@ -138,15 +138,15 @@ class Video:
         return detections_of_results(found, (image.width, image.height), self._predictor.scheme)
 
     def tracks(self) -> "Tracks":
-        """The road users of the whole video, followed in metres, as `skope eval track` does; computed once.
+        """Track the road users of the whole video in metres, as `skope eval track` does. The result is kept.
 
         Returns:
-            A list of `skope.tracks.track.Track`, with smoothed `position` (M, 3), `velocity` (M, 2), `heading` (M,) and
-            `speed` (M,) in each of a road user's M `frames`; `category` tells vehicles from others. Its `to_csv`
-            writes them, `skope.count` and `skope.measure_traffic` take it.
+            A list of `skope.tracks.track.Track` with smoothed `position` (M, 3) in metres, `velocity` (M, 2) in m/s,
+            `heading` (M,) in radians and `speed` (M,) in m/s for the M `frames` of a road user; `category` is its
+            class. `to_csv` writes the list. `skope.count` and `skope.measure_traffic` accept it.
 
         Raises:
-            UserError: The video has no camera or cannot be read, or its images carry no times (`fps` says them).
+            UserError: The video has no camera or cannot be read, or its images have no times (give `fps`).
         """
         if self._job.camera is None:
             raise UserError(f"{self._footage.name}: tracks need a camera: video(source, camera=...)")
@@ -196,19 +196,20 @@ class Video:
     def find_camera(
         self, *, height_m: float | None = None, fov_deg: float | None = None, max_vehicles: int = 40
     ) -> "CameraEstimate":
-        """Find the camera from the vehicles of the whole video, as `skope eval camera` does.
+        """Estimate the camera from the vehicles of the whole video, as `skope eval camera` does.
 
         Args:
-            height_m: The camera's height over the road, metres, if that is known.
-            fov_deg: The horizontal field of view, degrees, if that is known.
-            max_vehicles: Use at most so many vehicles.
+            height_m: Height of the camera above the road, metres, if known.
+            fov_deg: Horizontal field of view, degrees, if known.
+            max_vehicles: Maximum number of vehicles to use.
 
         Returns:
-            The estimate: its `camera` hangs over (0, 0) and looks along x, `sigma_focal`, `sigma_height` and others
-            tell how well it is known.
+            The estimate. Its `camera` is above (0, 0) and looks along x. `sigma_focal`, `sigma_height` and others are
+            standard deviations.
 
         Raises:
-            UserError: The vehicles do not tell the camera, and why; or an argument is out of range.
+            UserError: The vehicles do not determine the camera (the message has the reason), or an argument is out of
+                range.
         """
         from skope.camera.fit.write_camera import camera_of_vehicles
 
@@ -225,7 +226,7 @@ class Video:
 
     @cached_property
     def _results(self) -> "TemporaryDirectory[str]":
-        """The folder with predictions and frames of the whole video, as `skope eval predict` writes them."""
+        """Temporary folder with predictions and frames of the whole video, as `skope eval predict` writes them."""
         from skope.footage.predict_footage import Prediction
         from skope.terminal.console import SilentConsole
 
@@ -240,13 +241,13 @@ class Video:
 
 
 class _Pictures:
-    """Keeps the pixels of frames until what is found in them is known."""
+    """Buffer of frames that wait for their detections."""
 
     def __init__(self) -> None:
         self.taken: dict[int, Pixels] = {}
 
     def watch(self, frames: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
-        """The same frames."""
+        """Yield the same frames, and keep their pixels."""
         for image, pixels in frames:
             self.taken[image.id] = pixels
             yield image, pixels
@@ -264,20 +265,22 @@ def open_video(
     every_frame: bool,
     fps: float | None,
 ) -> Video:
-    """Open the video that `Detector.video` gives; nothing is computed before frames are asked for. Raises UserError.
+    """Open the video that `Detector.video` returns. Computation starts with the first frame that is read.
 
     Args:
-        predictor: The detector, with the settings that it was loaded with.
+        predictor: The detector with its settings.
         source: A video file, an image, a folder or glob of images, or the address of a stream.
-        camera: The camera, or its file as `read_camera` takes it; None: no tracks in metres. A camera of another image
+        camera: The camera, or its file as in `read_camera`; None for no tracks in metres. A camera of another image
             size is scaled, with a warning.
-        ground: Height of the level road in the camera's world, metres, or a word or None as in `Detector.video`.
-        score: Detections above this are kept, 0 to 1.
-        every: Take every so many-th frame, from 1.
-        seconds: Begin and end in the footage, seconds; None as end: its end.
-        every_frame: Run the detector on every frame; else on a CPU it runs twice a second.
-        fps: Frames per second of image files, or of a video file whose time stamps are missing or wrong; None: their
-            own times, if any.
+        ground: Height of the level road in the camera's world, metres, or another value of `Detector.video`.
+        score: Score threshold, 0 to 1.
+        every: Frame stride, from 1.
+        seconds: Start and end in the footage, seconds; None for its end.
+        every_frame: Run the detector on every frame. Otherwise it runs twice per second on a CPU.
+        fps: Frame rate of image files, or of a video with missing or wrong time stamps; None for their own times.
+
+    Raises:
+        UserError: The source or the camera cannot be read, or an argument is out of range.
     """
     from skope.dataset.camera_of_file import fitted_camera, read_camera
     from skope.footage.predict_job import PredictJob
@@ -314,7 +317,7 @@ def open_video(
     job = PredictJob(
         footage=footage,
         checkpoint=predictor.weights,
-        out=Path(),  # of a folder of its own, where results are kept
+        out=Path(),  # replaced by a temporary folder when results are kept
         settings=predictor.settings,
         score=score,
         camera=camera,

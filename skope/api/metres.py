@@ -1,4 +1,4 @@
-"""From an image to the road: the camera, where vehicles are, and their tracks through located frames."""
+"""From an image to the road: cameras, poses of vehicles in metres, and tracks."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -19,42 +19,42 @@ def read_camera(path: str | Path) -> Camera:
     """Read a camera with its pose in the world.
 
     Args:
-        path: What `skope eval camera` or `save_camera` wrote, OpenCV's .yml or .xml, a TUMTraf or Rope3D calibration,
-            or an annotation file (the camera of its first image). `distortion_model` of a .yml names the
-            lens, as equidistant (fisheye) or plumb_bob (Brown's).
+        path: A file of `skope eval camera` or `save_camera`, an OpenCV .yml or .xml file, a TUMTraf or Rope3D
+            calibration, or an annotation file (the camera of its first image). `distortion_model` of a .yml file names
+            the lens model: equidistant (fisheye) or plumb_bob (Brown).
 
     Returns:
-        The camera: `project` takes (N, 3) places in metres to pixels, `position` (3,) is where it hangs. Four
-        coefficients of a lens whose model the file does not name are taken for Brown's, with an `AssumptionWarning`.
+        The camera. `project` maps (N, 3) points in metres to pixels; `position` (3,) is in metres. If the file has four
+        distortion coefficients and no lens model, Brown's model is assumed, with an `AssumptionWarning`.
 
     Raises:
-        UserError: The file cannot be read, its lens model is not known, or it does not say where the camera hangs.
+        UserError: The file cannot be read, its lens model is unknown, or it has no pose of the camera.
     """
     from skope.dataset import camera_of_file
 
     camera, posed = camera_of_file.read_camera(Path(path))
     if not posed:
-        raise UserError(f"{path}: does not say where the camera hangs; `skope eval camera` finds that out")
+        raise UserError(f"{path}: has no pose of the camera; `skope eval camera` can estimate it")
     return camera
 
 
 def locate(detections: "Detections", camera: Camera, *, ground: float | None = 0.0) -> "Located":
-    """Position, heading and size of the vehicles of one image, in metres.
+    """Estimate position, heading and size of the vehicles of one image, in metres.
 
     Args:
-        detections: What the detector found; drop weak ones before, as in `detections.above(0.5)`.
-        camera: The image's camera, as `read_camera` reads it; of the image's size, or a multiple.
-        ground: Height of the level road in the camera's world, metres; None where it is unknown: then the size of
-            vehicles tells how far away they are, and less exactly.
+        detections: Detections of the image. Drop weak ones first, for example with `detections.above(0.5)`.
+        camera: Camera of the image, for example from `read_camera`, with the image's aspect ratio.
+        ground: Height of the level road in the camera's world, metres. None: unknown; distance then follows from the
+            size of the vehicles, and is less exact.
 
     Returns:
-        The vehicles in the order of the detections: its `poses` hold `position` (N, 3), `yaw` (N,) in radians
-        counter-clockwise from world x, `size_lwh` (N, 3), `covariance` (N, 4, 4), `types`, and what to distrust in
-        `refusal` and `flags`; its `good` (N,) says which vehicles have a pose. The numbers of the others are NaN, also
-        of those that were followed from other frames, whose keypoints measure nothing anew.
+        The vehicles in the order of the detections. `poses` has `position` (N, 3) in metres, `yaw` (N,) in radians,
+        counter-clockwise from world x, `size_lwh` (N, 3) in metres, `covariance` (N, 4, 4), `types`, the reason for a
+        missing pose in `refusal`, and `flags`. `good` (N,) is true for vehicles with a pose; other values are NaN.
+        Vehicles that were only tracked from other frames have no pose.
 
     Raises:
-        UserError: The camera's shape is not the image's.
+        UserError: The camera and the image differ in aspect ratio.
     """
     from skope.camera.ground_plane import Ground
     from skope.dataset.camera_of_file import sized
@@ -71,18 +71,18 @@ def locate(detections: "Detections", camera: Camera, *, ground: float | None = 0
 
 
 def track(frames: "Iterable[Located]", times_s: Sequence[float]) -> "Tracks":
-    """Follow vehicles through the frames of one camera.
+    """Track vehicles through the frames of one camera.
 
     Args:
-        frames: What `locate` gave for each frame.
-        times_s: The time of each frame, seconds, rising.
+        frames: Results of `locate`, one per frame.
+        times_s: Time of each frame, seconds, increasing.
 
     Returns:
-        A list of tracks with smoothed `position` (M, 3), `velocity` (M, 2), `heading` (M,) and `speed` (M,) in each of
-        the vehicle's M `frames`, numbered from 0. `to_csv` writes them, `at` gives the vehicles of a frame.
+        A list of tracks with smoothed `position` (M, 3), `velocity` (M, 2), `heading` (M,) and `speed` (M,) for the M
+        `frames` of the vehicle, numbered from 0. `to_csv` writes the list; `at` returns the vehicles of a frame.
 
     Raises:
-        ValueError: The times do not rise.
+        ValueError: The times do not increase.
     """
     from skope.tracking.track_list import Tracks
     from skope.tracking.tracker_inputs import detections_of
@@ -91,7 +91,7 @@ def track(frames: "Iterable[Located]", times_s: Sequence[float]) -> "Tracks":
     from skope.traffic.observation import Observation
 
     if (np.diff(times_s) <= 0).any():
-        raise ValueError("times_s: expected times that rise from frame to frame")
+        raise ValueError("times_s: expected increasing times")
     seconds = np.asarray(times_s, dtype=np.float64)
     tracks = follow((detections_of(one) for one in frames), times_s)
     return Tracks([as_written(one) for one in tracks], Observation(times_s=seconds))

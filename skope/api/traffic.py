@@ -1,4 +1,4 @@
-"""From tracks to traffic: the site's gates and zones, counts, and everything that `skope eval traffic` measures."""
+"""Traffic from tracks: site files, counts, and all measurements of `skope eval traffic`."""
 
 from collections.abc import Sequence
 from datetime import datetime
@@ -20,13 +20,13 @@ def read_site(path: str | Path) -> "SiteFile":
     """Read a site file: camera, marks, gates, zones, lanes and settings (docs/traffic.md).
 
     Args:
-        path: The .toml file, as `skope eval site` saves it.
+        path: The .toml file, for example from `skope eval site`.
 
     Returns:
-        The site, with its `gates`, `zones` and `lanes`, places in metres.
+        The site with its `gates`, `zones` and `lanes`, coordinates in metres.
 
     Raises:
-        UserError: The file cannot be read, or a key in it is wrong.
+        UserError: The file cannot be read, or a value in it is wrong.
     """
     from skope.site import site_file
 
@@ -41,25 +41,25 @@ def measure_traffic(
     times_s: Sequence[float] | None = None,
     manual_count: str | Path | None = None,
 ) -> "TrafficReport":
-    """Count and measure traffic: what `skope eval traffic` writes, in memory.
+    """Count and measure traffic, as `skope eval traffic` does, in memory.
 
     Args:
-        tracks: The folder that `skope eval track` wrote, several such folders of one site, or what `track` or
-            `Video.tracks` gave.
-        site: A site file with gates, zones, lanes and settings, or what `read_site` has read.
+        tracks: Output folder of `skope eval track`, several such folders of one site, or the result of `track` or
+            `Video.tracks`.
+        site: A site file with gates, zones, lanes and settings, or the result of `read_site`.
         start_time: Start of the footage, a time or a text as `--start-time` takes it. For several recordings a time for
             each, in their order. Default: from `footage.json`, the site file or the names of the footage.
-        times_s: Of tracks in memory the times of all frames, seconds, also of those without any track; by default
-            those that `track` or `Video.tracks` had. Between them it is known when nothing was observed.
-        manual_count: CSV of what was counted by hand (docs/traffic.md), from which the intervals of counts learn.
+        times_s: Times of all frames, seconds, for tracks in memory, including frames without tracks. Gaps between them
+            are unobserved. Default: the times of `track` or `Video.tracks`.
+        manual_count: CSV file of manual counts (docs/traffic.md). They narrow the intervals; counts do not change.
 
     Returns:
-        The report: its `crossings`, `visits`, `counts`, `turning`, `speeds`, `headways`, `queues`, `delays` and
-        `conflicts`, each with how uncertain it is, and in `refused` what could not be measured, and why.
+        The report with `crossings`, `visits`, `counts`, `turning`, `speeds`, `headways`, `queues`, `delays` and
+        `conflicts`, each with its uncertainty. `notes` lists what could not be measured, and why.
 
     Raises:
-        UserError: A file is missing or wrong, recordings overlap in time, or it is not known when one began.
-        ValueError: `tracks` are folders and tracks.
+        UserError: A file is missing or wrong, recordings overlap in time, or the start of one is not known.
+        ValueError: `tracks` mixes folders and tracks.
     """
     from skope.site.site_file import SiteFile
     from skope.tracking.track_list import Tracks
@@ -111,18 +111,17 @@ def count(
     start_time: str | datetime | Sequence[str | datetime] | None = None,
     times_s: Sequence[float] | None = None,
 ) -> "list[Count]":
-    """Count who crossed each gate, by direction, lane, class and interval on the clock.
+    """Count the road users that crossed each gate, by direction, lane, class and clock interval.
 
     Args:
-        tracks: As `measure_traffic` takes them.
-        site: The site file with the gates, or what `read_site` has read.
+        tracks: As in `measure_traffic`.
+        site: The site file with the gates, or the result of `read_site`.
         start_time: As in `measure_traffic`.
-        times_s: As `measure_traffic` takes them.
+        times_s: As in `measure_traffic`.
 
     Returns:
-        A count for each `interval`, `gate`, `direction`, `lane` and `class_name`, of which each may be "all", with
-        `count`, None where nothing was observed, and `expected`: between `expected.low` and `expected.high` is how many
-        there were, with 90%.
+        One record per `interval`, `gate`, `direction`, `lane` and `class_name` (each can be "all"). `count` is None if
+        nothing was observed. `expected.low` to `expected.high` is the 90% interval of the true number.
 
     Raises:
         UserError: A file is missing or wrong.

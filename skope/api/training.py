@@ -29,31 +29,31 @@ def train_detector(
     workers: int | None = None,
     quiet: bool = True,
 ) -> Path:
-    """Train a detector, or go on where a stopped call was.
+    """Train a detector, or resume a stopped call.
 
     Args:
-        data: Dataset folder; of several all images are learnt from.
-        out: The run folder for checkpoints: a new one, or one that the same call began.
-        recipe: How to train: "auto", "paper", "laptop", "scratch", or a TOML file.
-        settings: Any value of the recipe by its name, as in {"augment.blur": 0.2}.
-        epochs: Passes over the images; None: as the recipe says. So it is with those below.
-        init: First weights: "auto", "coco", "imagenet", "random", or a checkpoint or run.
-        backbone: What makes the feature maps: "resnet50", "resnet18" or "mobilenet_v3_large".
-        batch_size: Images a step.
+        data: Dataset folder, or several. All their images are used.
+        out: Run folder for checkpoints: a new one, or that of a stopped call with the same arguments.
+        recipe: Training recipe: "auto", "paper", "laptop", "scratch", or a TOML file.
+        settings: Values of the recipe by name, for example {"augment.blur": 0.2}.
+        epochs: Number of epochs; None: as in the recipe. The same holds for the arguments below.
+        init: Initial weights: "auto", "coco", "imagenet", "random", or a checkpoint or run.
+        backbone: Network of the feature maps: "resnet50", "resnet18" or "mobilenet_v3_large".
+        batch_size: Images per step.
         min_size: Short side of the image in the network, pixels.
-        supervise: Keypoints to learn: "visible", or "all" for hidden ones too.
-        categories: What to learn, as in ("vehicle", "pedestrian"); empty: all that the data labels.
-        max_images: Train on so many images with vehicles of each dataset only; None: on all.
-        seed: Seed of weights, order, changes and samples.
-        device: Where to compute: "auto" (a GPU where there is one), "cpu", "cuda" or "cuda:1".
-        workers: Processes that load images; None: as many as suit the device. Changes no result.
-        quiet: Print nothing on the way.
+        supervise: Keypoints to train on: "visible", or "all" to include hidden ones.
+        categories: Classes to train, for example ("vehicle", "pedestrian"); empty: all classes of the data.
+        max_images: Maximum number of images with vehicles per dataset; None: all.
+        seed: Seed of weights, image order, augmentation and sampling.
+        device: Device: "auto" (a GPU if there is one), "cpu", "cuda" or "cuda:1".
+        workers: Number of loading processes; None: suitable for the device. It does not change the result.
+        quiet: Print no progress.
 
     Returns:
         The last checkpoint, for `load_detector`.
 
     Raises:
-        UserError: An argument is wrong, a dataset holds nothing to learn from, or the folder holds another run.
+        UserError: An argument is wrong, a dataset has no usable image, or the folder holds another run.
     """
     from skope.detector.device import choose_device, has_bfloat16
     from skope.terminal.console import Console

@@ -224,7 +224,8 @@ def test_a_file_is_written_where_none_is(tmp_path: Path) -> None:
     assert path.stat().st_mtime_ns == before
     for content in (b"1", b"2"):
         (tmp_path / "made").write_bytes(content)
-        refused = pytest.raises(UserError, match=r"camera.json: exists with other content") if content == b"2" else nullcontext()
+        fails = pytest.raises(UserError, match=r"camera.json: exists with other content")
+        refused = fails if content == b"2" else nullcontext()
         with refused:
             write_new(path, content)
         with refused:

@@ -1,6 +1,6 @@
 """Ray casting from the camera to points, against the triangles of a frame's vehicles. Pure numpy.
 
-`annotate.py` decides which keypoints count as hidden.
+`skope.gen.labels.visibility.find_hidden` decides which keypoints count as hidden.
 
 Each vehicle's triangles are grouped in patches of `RAYCAST_LIMITS.patch_triangles`. A ray is tested against spheres
 around the vehicles, then spheres and boxes around their patches, and only then against triangles.
