@@ -43,7 +43,7 @@ class RoadUserDetections:
 
     @classmethod
     def together(cls, parts: Sequence["RoadUserDetections"]) -> "RoadUserDetections":
-        """Those of all parts, of which there is one at least, in their order."""
+        """Concatenate detections of one or more parts, in their order."""
         names = ("boxes_xyxy", "scores", "categories")
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
@@ -67,8 +67,8 @@ class Detections:
     keypoints: NDArray[np.float64]
     """(N, 33, 3) x, y, p: pixels of the original image, and the sigmoid of the heat map's peak, 0 to 1.
 
-    p grows with the network's certainty but is not calibrated, and says nothing on whether a point is hidden. It is
-    taken in float64, from which the peak can be had back (`skope.detector.score_calibration` does)."""
+    p increases with the certainty of the network. It is not calibrated, and independent of whether a point is hidden.
+    It is float64, so that the peak can be recovered (see `skope.detector.score_calibration`)."""
     size: tuple[int, int]
     """Width and height of the image, pixels."""
     scheme: Scheme = SKOPE33
@@ -108,11 +108,11 @@ class Detections:
         return replace(self[self.scores > score], road_users=self.road_users.of(self.road_users.scores > score))
 
     def draw(self, image: Pixels, *, scale: int = 1) -> Pixels:
-        """Draw what was found on a copy of its image, the best on top.
+        """Draw the detections on a copy of the image, the best one on top.
 
         Args:
             image: (H, W, 3) RGB pixels of type uint8.
-            scale: The picture is enlarged so many times, for small images.
+            scale: Enlargement factor, for small images.
 
         Returns:
             (scale H, scale W, 3) RGB pixels; `draw.write` writes them.

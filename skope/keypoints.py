@@ -13,8 +13,8 @@ from skope.errors import UserError, one_of
 
 SCHEME: Final = "skope33"
 EDITION: Final = 2
-"""Edition of the definition of where the keypoints of `skope33` lie (docs/conventions.md): files of skope name it, and
-those that name none or another one are refused."""
+"""Edition of the keypoint definition of `skope33` (docs/conventions.md). Files of skope name it; files of skope with
+another edition, or without one, are rejected."""
 
 NAMES: Final[tuple[str, ...]] = (
     "roof_front_right", "roof_front_left", "roof_rear_right", "roof_rear_left",
@@ -132,7 +132,7 @@ _GROUP_COLORS: Final = {
     "beltline": (160, 160, 255),
     "front_logo": (255, 64, 64),
 }
-"""sRGB by part, after Okabe and Ito's palette so that colour-blind readers can tell them apart."""
+"""sRGB by part, after Okabe and Ito's palette which colour-blind readers can distinguish."""
 
 COLORS: Final = tuple(next(c for part, c in _GROUP_COLORS.items() if name.startswith(part)) for name in NAMES)
 
@@ -215,13 +215,13 @@ PUBLISHED: Final = Scheme(
     sigmas=SIGMAS,
     colors=tuple(COLORS[SKOPE3D[i]] if i in SKOPE3D else _UNKNOWN_COLOR for i in range(K)),
 )
-"""The published files' own keypoints, whose order is not ours and but for `SKOPE3D` not documented."""
+"""Keypoints of the published files. Their order differs from ours, and is undocumented but for `SKOPE3D`."""
 
 SCHEMES: Final[dict[str, Scheme]] = {scheme.name: scheme for scheme in (SKOPE33, PUBLISHED)}
 
 
 def scheme_in(said: Mapping[str, Any], name_field: str = "keypoint_scheme") -> Scheme:
-    """The scheme that a file names by `Scheme.fields`; a UserError where its name or edition is another one."""
+    """Return the scheme that a file names by `Scheme.fields`; a UserError for an unknown name or edition."""
     name = one_of(name_field, said.get(name_field), tuple(SCHEMES))
     edition = said.get("keypoint_edition")
     if name == SCHEME and edition != EDITION:

@@ -1,7 +1,7 @@
-"""The annotation schema: COCO keypoints with what a roadside camera knows besides.
+"""Annotation schema: COCO keypoints and further fields of roadside cameras.
 
-Frozen records, checked where they are made; a UserError names the field, what was expected and what came. Fields that
-plain COCO files do not have are optional, so that the same records hold anybody's annotations.
+The records are frozen and checked when they are made. A UserError names the field, the expected and the actual value.
+Fields that plain COCO files lack are optional, so that the same records hold annotations from other sources.
 """
 
 import math
@@ -25,11 +25,11 @@ SCHEMA_VERSION: Final = 1
 VEHICLE_CATEGORY: Final = "vehicle"
 """The category of all on more than two wheels."""
 PEDESTRIAN_CATEGORY: Final = "pedestrian"
-"""The category of people on foot, the only road users who ride nothing."""
+"""Category of people on foot."""
 CATEGORY_NAMES: Final = (VEHICLE_CATEGORY, "bicycle", "motorcycle", PEDESTRIAN_CATEGORY)
-"""Names of the categories, whose ids count from 1. Only a vehicle has keypoints; a rider belongs to what is ridden."""
+"""Names of the categories; ids count from 1. Only vehicles have keypoints. A rider is part of the bicycle or motorcycle."""
 VEHICLE_ALONE: Final = CATEGORY_NAMES[:1]
-"""The categories of a file whose makers labelled vehicles alone."""
+"""Categories of a file in which only vehicles are labelled."""
 CATEGORY_ID: Final = 1
 """Id of the category `VEHICLE_CATEGORY`."""
 ROAD_USER_IDS: Final = (2, 3, 4)
@@ -266,7 +266,7 @@ class _Categorised:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoadUser(Labelled, _Categorised):
-    """One bicycle or motorcycle, each with whoever rides it, or one person on foot, in one image."""
+    """A bicycle or motorcycle with its riders, or a person on foot, in one image."""
 
     category_id: int
     """2 to 4, see `CATEGORY_NAMES`."""

@@ -1,4 +1,4 @@
-"""The camera that a file tells of, whoever wrote it, and a camera at the size of an image."""
+"""Read a camera from a file of any supported format, and scale a camera to an image size."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -14,10 +14,17 @@ from skope.schema import Image
 
 
 def read_camera(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera, bool]:
-    """A camera from a file, and whether the file says where it hangs: else its own frame is the world.
+    """Read a camera from a file.
 
-    Read are what `skope eval camera` writes, annotation files (their first image's camera) and the calibrations of
-    `skope.camera.calibration_files`. `size` serves where the file says nothing of it.
+    Supported are files of `skope eval camera`, annotation files (the camera of their first image) and the calibrations
+    of `skope.camera.calibration_files`.
+
+    Args:
+        path: The file.
+        size: Image width and height, pixels; used if the file has no size.
+
+    Returns:
+        The camera, and whether the file has its pose. Without a pose the world is the camera's own frame.
     """
     if path.suffix.lower() == ".json":
         document = read_json(path)

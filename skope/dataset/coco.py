@@ -39,11 +39,11 @@ def read(path: Path) -> AnnotationFile:
     """Read an annotation file.
 
     Args:
-        path: A file that skope wrote, or any COCO keypoints file with the 33 keypoints of one of `keypoints.SCHEMES`,
-            whose categories are one alone, or `vehicle` and others of `schema.CATEGORY_NAMES` with their ids.
+        path: A file of skope, or any COCO keypoints file with the 33 keypoints of one of `keypoints.SCHEMES`. It has
+            either one category, or `vehicle` and others of `schema.CATEGORY_NAMES` with their ids.
 
     Raises:
-        UserError: Something is missing, malformed or inconsistent; it names file, record and field.
+        UserError: A value is missing, malformed or inconsistent; the message names file, record and field.
     """
     document = read_json(path)
     if not isinstance(document, dict):
@@ -167,7 +167,7 @@ def _categories(path: Path, document: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _scheme(path: Path, document: Mapping[str, Any]) -> Scheme:
-    """The scheme that a file says it has, or else the one whose names its first category has."""
+    """Return the scheme that a file names, or else the scheme with the keypoint names of its first category."""
     info = document.get("info")
     info = info if isinstance(info, dict) else {}
     stated = info.get("keypoint_scheme")
@@ -176,7 +176,7 @@ def _scheme(path: Path, document: Mapping[str, Any]) -> Scheme:
     if not isinstance(names, list) or len(names) != keypoints.K:
         count = len(names) if isinstance(names, list) else "none"
         raise UserError(f"{path}: categories[0].keypoints: expected {keypoints.K} names, got {count}")
-    if stated is None:  # somebody else's file: people mark what they see
+    if stated is None:  # a file of another source: annotators mark what they see
         scheme = next((s for s in keypoints.SCHEMES.values() if s.names == tuple(names)), SKOPE33)
     else:
         try:

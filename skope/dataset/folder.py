@@ -31,7 +31,7 @@ CHANGES_KEY: Final = "view_changes"
 """Key in `info` of the frames: when a video shows another view. Objects with `time_s`, `cut` and `shift`, and of a view
 that was registered with `settled_s`, `homography`, `residual_px` and `corner_error_px`."""
 DETECTOR_KEY: Final = "detector"
-"""Key in `info` of the frames: the detector, as a name of what comes with skope, or a file."""
+"""Key in `info` of the frames: the detector, as the name of shipped weights or the path of a file."""
 VISIBILITY_KEY: Final = "visibility_samples"
 """Under this name the `info` of frames says how bright a video is and how much contrast it has: rows of time (s),
 brightness (0 to 1) and contrast."""
@@ -89,7 +89,7 @@ class Dataset:
 
     @property
     def splits(self) -> tuple[str, ...]:
-        """Names of the splits whose annotation file exists, or that have shards, in alphabetical order."""
+        """Names of the splits with an annotation file or shards, in alphabetical order."""
         if self.sharded:
             return shards.splits_of(self.root)
         return tuple(sorted(path.stem for path in (self.root / "annotations").glob("[!.]*.json")))
@@ -259,7 +259,7 @@ def read_image(path: str | Path, size: tuple[int, int] | None = None) -> NDArray
 
     path = Path(path)
     data = shards.read(path)
-    # OpenCV fills the missing rows of a truncated JPEG with grey and says nothing.
+    # OpenCV fills the missing rows of a truncated JPEG with grey and reports no error.
     if data[:2] == b"\xff\xd8" and not _jpeg_ends(data):
         raise UserError(f"{path}: truncated JPEG")
     pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR_RGB) if data else None

@@ -86,7 +86,7 @@ def ignoring(learnt: AnnotationFile, validated: AnnotationFile) -> AnnotationFil
 def _ignoring(
     learnt: AnnotationFile, known: Sequence[Labelled], validated: AnnotationFile, labels: Sequence[L]
 ) -> tuple[L, ...]:
-    """`labels`, of `validated`, of which those are ignored whose track one of `known`, of `learnt`, has too."""
+    """Return `labels` of `validated`; those with the track of one of `known`, of `learnt`, are marked as ignored."""
     seen = {
         track for image, a in _with_images(learnt, known) if not a.ignored and (track := _track(image, a)) is not None
     }

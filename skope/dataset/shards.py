@@ -36,7 +36,7 @@ def write_shard(path: Path, members: Iterable[tuple[str, bytes]]) -> None:
 
 
 def members_of(path: Path) -> tuple[str, ...]:
-    """Names of a whole shard's members; none of one whose index was not written yet."""
+    """Return the names of the members of a complete shard; empty while its index is not written."""
     index = path.with_suffix(".json")
     return tuple(_index(index, True)) if index.is_file() else ()
 

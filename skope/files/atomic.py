@@ -121,10 +121,10 @@ def replacing_folder(path: Path, *, keep: bool = True) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def writing(path: Path, *parts: Path) -> Iterator[None]:
-    """Turn what goes wrong while the file or folder `path` is written into a UserError that names it.
+    """Turn errors while the file or folder `path` is written into a UserError that names it.
 
-    Whoever writes may also read other files, which keep their own names in messages, and print: a closed pipe is no
-    fault of `path`. `parts` are other places that are to become `path`.
+    Errors of other files that are read meanwhile keep their own names. A closed output pipe is not an error of `path`.
+    `parts` are temporary paths that are renamed to `path`.
     """
     try:
         yield

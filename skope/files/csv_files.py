@@ -31,15 +31,15 @@ def write_csv(
     digits: int | None = None,
     byte_order_mark: bool = True,
 ) -> None:
-    """Write a table as CSV in UTF-8; it is put in place when all of it is written.
+    """Write a table as a UTF-8 CSV file, atomically.
 
     Args:
         path: The file.
         columns: Names of the columns.
         rows: Cells of each row: text, numbers, times. None and numbers that are not finite are empty cells.
         digits: Number of decimals of floats. Default: as many as they have.
-        byte_order_mark: Whether the file begins with a byte order mark, by which Excel knows that it is UTF-8. Useful
-            for files that people open; leave it out of files that programs read.
+        byte_order_mark: Whether the file begins with a byte order mark, which makes Excel read it as UTF-8. Useful for
+            files that people open; omit it in files that programs read.
 
     Raises:
         UserError: The file cannot be written.
@@ -53,7 +53,7 @@ def write_csv(
 
 
 class _UnixLines:
-    """A file whose lines, each written at once, end in a line feed alone."""
+    """Text file with line feeds as line ends; each line is written in one call."""
 
     def __init__(self, file: IO[str]) -> None:
         self._file = file

@@ -31,12 +31,12 @@ def parse_json(data: bytes) -> Any:
 
     with contextlib.suppress(orjson.JSONDecodeError):
         return orjson.loads(data.removeprefix(codecs.BOM_UTF8))
-    # NaN, which Python writes, is for those to refuse who know the field's name.
+    # NaN, which Python writes, is rejected by the caller, which knows the field's name.
     return json.loads(data)
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write JSON atomically, indented for people; NaN and infinities are refused as JSON has none."""
+    """Write indented JSON atomically; NaN and infinities, which JSON does not have, are rejected."""
     write_text(path, json.dumps(value, indent=1, allow_nan=False) + "\n")
 
 

@@ -1,4 +1,4 @@
-"""Keep what a run has found so far in a file, line by line, so that a stopped run goes on."""
+"""File of the results of an unfinished run, one per line, from which the run resumes."""
 
 import itertools
 from collections.abc import Iterator
@@ -48,7 +48,7 @@ class Progress:
         return row if isinstance(row, dict) and set(row) == self._fields else None
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """All rows so far, from the file: of an hour of footage they are more than fits into memory."""
+        """Yield all rows so far from the file; those of an hour of footage do not fit into memory."""
         with self._path.open("rb") as file:
             for row in itertools.takewhile(lambda row: row is not None, map(self._row, file)):
                 assert row is not None

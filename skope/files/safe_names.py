@@ -1,7 +1,7 @@
 """Check names that come from files: a name is never a path, and a relative path never leaves its folder.
 
-Whatever a file says of sites, recordings, splits or other files is checked here before it becomes part of a path. Names
-that are listed come in the order in which people count.
+Names of sites, recordings, splits and files are checked here before they become part of a path. Names are sorted in
+natural order (2 before 10).
 """
 
 import os
@@ -32,9 +32,9 @@ UNSAFE_NAME: Final = re.compile(r"\A\.{0,2}\Z|\A[A-Za-z]:|[\x00-\x1f\x7f-\x9f\u2
 
 
 def name(field: str, value: Any) -> str:
-    """Return `value` when it can be a file's name and nothing else, or raise a UserError that names the field.
+    """Return `value` if it is a plain file name; raise a UserError that names the field otherwise.
 
-    Hidden names, which begin with a dot, are refused too.
+    Hidden names, which begin with a dot, are rejected.
     """
     if not isinstance(value, str) or value.startswith(".") or not _is_part(value, NAME_LIMITS.name_bytes):
         raise UserError(
@@ -85,7 +85,7 @@ def _in_utf8(path: Path | str, program: str) -> str:
 
 
 def _is_part(text: str, most: int) -> bool:
-    """Whether text can be one part of a path of at most so many bytes."""
+    """Return whether text can be one component of a path with at most this many bytes."""
     try:
         return not UNSAFE_NAME.search(text) and len(os.fsencode(text)) <= most
     except UnicodeEncodeError:  # half a character, which no file system can hold

@@ -1,6 +1,6 @@
 """Line charts and histograms as SVG, each with its numbers as a table below.
 
-A line is told by its dashes and the shape of its markers as well as by its colour.
+Lines differ in dashes and marker shape as well as in colour.
 """
 
 from collections.abc import Sequence
@@ -50,14 +50,14 @@ class Axes:
 
 
 def chart(title: str, axes: Axes, lines: Sequence[Line], *, diagonal: bool = False, every: int = 1) -> Markup:
-    """Draw a figure with lines; each marker says its numbers.
+    """Draw a line chart; each marker shows its numbers.
 
     Args:
         title: Caption, plain text.
         axes: Labels and ends.
-        lines: The lines, in the order of their markers and colours, of which there are four.
-        diagonal: Draw the line from corner to corner too.
-        every: Mark each so many-th point of a line and list it in the table.
+        lines: Up to four lines, in the order of their markers and colours.
+        diagonal: Draw the diagonal, too.
+        every: Stride of the points that are marked and listed in the table.
 
     Returns:
         The figure as markup: drawing, legend and the numbers as a table.
@@ -136,7 +136,7 @@ def _line(number: int, line: Line, axes: Axes, every: int) -> str:
 
 
 def _bars(number: int, group: Line, axes: Axes) -> str:
-    """The outline of a group's bars, filled faintly, and what is said where one is pointed at."""
+    """Draw the outline of a group of bars, filled faintly, with a tooltip for each bar."""
     half = (group.x[1] - group.x[0]) / 2
     known = _known(group)
     corners = [axes.place(x + side, y) for _, x, y in known for side in (-half, half)]

@@ -85,7 +85,7 @@ def unit(width: int) -> float:
 
 
 def box_svg(box_xywh: ArrayLike, name: str | None = None) -> Markup:
-    """A rectangle; `name` is said when it is pointed at."""
+    """A rectangle; `name` is its tooltip."""
     x, y, w, h = (round(float(v), 1) for v in np.asarray(box_xywh))
     return tag("rect", x=x, y=y, width=max(w, 0), height=max(h, 0), data_tip=name)
 
@@ -121,7 +121,7 @@ def points(
 
 
 def place(point: Array) -> str:
-    """A position (2 or more,), of which x and y count, as SVG paths have it."""
+    """Format x and y of a position (2 or more,) for an SVG path."""
     return f"{point[0]:.1f} {point[1]:.1f}"
 
 

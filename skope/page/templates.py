@@ -48,7 +48,7 @@ class Table:
     foot: Sequence[object] = ()
     """Cells of a row of totals; empty for none."""
     sortable: bool = False
-    """Headings are buttons, by which the page's script sorts."""
+    """Whether headings are buttons that sort the table."""
     sticky: bool = False
     """Headings and the first column stay visible while the table scrolls in its box; useful for long tables."""
     folded: bool | None = None
@@ -118,7 +118,7 @@ def bundled_script(*entries: str) -> Markup:
 
 
 def _code(text: str) -> Markup:
-    """A text whose parts in backticks are code."""
+    """Return a text as markup; parts in backticks become code."""
     return Markup(CODE_WORD.sub(r"<code>\1</code>", str(escape(text))))
 
 

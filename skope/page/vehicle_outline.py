@@ -56,9 +56,9 @@ class Point:
 
 
 def outline(title: str, points: Mapping[str, Point], head: Sequence[str]) -> Markup:
-    """Draw shares of keypoints in their places on the vehicle.
+    """Draw shares of keypoints at their positions on the vehicle.
 
-    Of keypoints whose place is not known, those of another scheme, there are only the numbers.
+    Keypoints of other schemes have no known position; only their numbers are shown.
 
     Args:
         title: Caption, plain text.

@@ -74,14 +74,15 @@ def annotations(
 ) -> Pixels:
     """Draw ground truth on a copy of an image.
 
-    Keypoints are filled where visible (v = 2) and hollow where hidden (v = 1); who is ignored is a dashed box with the
-    reason. The label is the track's number, or the annotation's id; that of other road users begins with a letter.
+    Keypoints are filled where visible (v = 2) and hollow where hidden (v = 1); ignored road users have a dashed
+    box with the reason. The label is the track number, or the annotation id; for other road users it begins with a
+    letter.
 
     Args:
         image: (H, W, 3) RGB.
         vehicles: The image's annotations, boxes and keypoints in its pixels.
         road_users: People on foot and on two wheels.
-        scale: The picture is enlarged so many times.
+        scale: Enlargement factor.
         scheme: What the keypoints are.
 
     Returns:
@@ -139,7 +140,7 @@ def numbered(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1) -
     Args:
         image: (H, W, 3) RGB.
         vehicles: The image's annotations.
-        scale: The picture is enlarged so many times.
+        scale: Enlargement factor.
 
     Returns:
         (scale H, scale W, 3) RGB.
@@ -161,17 +162,17 @@ def results(
     scale: int = 1,
     scheme: Scheme = SKOPE33,
 ) -> Pixels:
-    """Draw what was found on a copy of an image, the best on top.
+    """Draw detections on a copy of an image, the best one on top.
 
-    Keypoints are filled from a probability of 0.5 on; below they are hollow and faint, and below 0.15 left out. Small
-    vehicles have neither skeleton nor label, which would hide the next ones. The label is the score; that of other road
-    users, who have a box in the colour of their category, begins with its first letter.
+    Keypoints are filled at a probability of 0.5 or more, hollow and faint below, and omitted below 0.15. Small vehicles
+    have neither skeleton nor label, which would hide their neighbours. The label is the score. Other road users have a
+    box in the colour of their category and a label that begins with its first letter.
 
     Args:
         image: (H, W, 3) RGB.
         found: Vehicles, in pixels of the image.
         road_users: People on foot and on two wheels.
-        scale: The picture is enlarged so many times.
+        scale: Enlargement factor.
         scheme: What the keypoints are.
 
     Returns:
@@ -235,7 +236,7 @@ def masks(image: Pixels, vehicles: Iterable[Labelled], *, strength: float = 0.45
 
     Args:
         image: (H, W, 3) RGB.
-        vehicles: Labels of vehicles or others; those whose mask is not given as RLE are left out.
+        vehicles: Labels of vehicles or other road users; those without an RLE mask are skipped.
         strength: Share of the tint, 0 to 1.
     """
     out = check_image("image", image).astype(np.float32)

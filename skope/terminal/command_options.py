@@ -51,12 +51,12 @@ def option(
     """A `typer.Option` for an annotation.
 
     Args:
-        names: Spellings, if not the parameter's own name with dashes.
-        help: What `--help` says of it; brackets stand for themselves.
-        choices: Values that it takes, which `--help` shows; another one is a UserError.
-        several: Whether it takes several of the choices, separated by commas.
-        least: Whole number under which a value is a UserError.
-        settings: Anything else that typer.Option takes.
+        names: Names of the option. Default: the name of the parameter with dashes.
+        help: Text for `--help`; brackets are printed as they are.
+        choices: Allowed values, which `--help` lists; any other value is a UserError.
+        several: Whether several choices are allowed, separated by commas.
+        least: Minimum of a whole number; a smaller value is a UserError.
+        settings: Further arguments of `typer.Option`.
     """
     if choices:
         settings |= {
@@ -160,11 +160,11 @@ def _paths(group: Any, path: str) -> Iterator[str]:
 
 
 class Commands(typer.Typer):
-    """A group whose commands, and itself where it is one, take `--quiet` and `--version` beside their own options.
+    """A command group that adds `--quiet` and `--version` to all its commands.
 
-    A command's parameter of type `Console` is one that keeps quiet if that is asked for; a parameter whose type is a
-    dataclass stands for the options that are its fields. Where a group runs by itself, `skope gen` for example, its
-    function is not called when one of its commands follows.
+    A parameter of type `Console` receives a console that is silent with `--quiet`. A parameter with a dataclass type
+    becomes one option for each field. If a group is itself a command, as `skope gen` is, its function is not called
+    when a subcommand follows.
     """
 
     def __init__(self, *, cls: type[CommandGroup] = CommandGroup, **settings: Any) -> None:
@@ -231,7 +231,7 @@ def _argument(parameter: inspect.Parameter, context: typer.Context, values: dict
 
 
 def _quiet(context: Any) -> bool:
-    """Whether a command, or a group that it was called through, was told to be quiet."""
+    """Return whether a command, or a group above it, was called with `--quiet`."""
     return bool(context.params.get("quiet")) or (context.parent is not None and _quiet(context.parent))
 
 

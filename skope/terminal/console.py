@@ -33,7 +33,7 @@ def text_table(head: Sequence[str], rows: Iterable[Sequence[object]], align: str
 T = TypeVar("T")
 
 _QUIET_S: Final = 30.0
-"""A log hears of work at least so often, seconds."""
+"""Maximum interval between progress lines in a log, seconds."""
 
 
 @dataclass(frozen=True)

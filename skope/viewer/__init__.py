@@ -1,5 +1,5 @@
-"""A page in the browser that goes through all images of a dataset, or of what a detector found in it.
+"""Browser page with all images of a dataset, or with the predictions of a detector on it.
 
-`collection` is what is looked at, `documents` the JSON that the page asks for, `pictures` the images' bytes, `server`
-answers the browser, and viewer.html, .css and .js are the page.
+`collection` has the images to show, `documents` the JSON documents for the page, `pictures` the image files. `server`
+answers the browser; viewer.html, .css and .js are the page.
 """

@@ -66,4 +66,4 @@ class Collection:
     truth: bool = True
     """Whether the vehicles in the files are ground truth; footage has none."""
     options: MetricOptions | None = None
-    """Options by which detections count and are held against the ground truth; None where there are no predictions."""
+    """Options for matching detections to the ground truth; None without predictions."""

@@ -72,7 +72,7 @@ class ScoreSteps:
     steps: int = 1000
     """Score thresholds are whole numbers from 0 to this, so that browser and server mean the same."""
     kept: int = 8
-    """Number of score thresholds whose counts are kept."""
+    """Maximum number of score thresholds with cached counts."""
 
 
 SCORE_STEPS_KEPT: Final = ScoreSteps()
@@ -88,7 +88,7 @@ IMAGE_FACETS: Final[dict[str, Callable[[Image], str | None]]] = {
 
 
 class Documents:
-    """The JSON documents of a collection, whose images are numbered from 0 through all splits."""
+    """JSON documents of a collection. Images are numbered from 0 through all splits."""
 
     def __init__(self, collection: Collection) -> None:
         self._collection = collection
@@ -138,7 +138,7 @@ class Documents:
         return {"name": name, "values": known, "of": [-1 if value is None else place[value] for value in values]}
 
     def details(self, number: int) -> dict[str, Any]:
-        """Everything that is drawn over an image, and what is said of it."""
+        """Return the overlays of an image and their texts."""
         split, index = self._place(number)
         return self._splits[split].details(index)
 
@@ -159,7 +159,7 @@ class Documents:
 
 
 class _SplitDocuments:
-    """The documents of one split, whose images are numbered from 0."""
+    """JSON documents of one split. Images are numbered from 0."""
 
     def __init__(self, split: ShownSplit, collection: Collection) -> None:
         self._split, self._options = split, collection.options
@@ -213,7 +213,7 @@ class _SplitDocuments:
             found = d >= 0
             out[self._matches.vehicles[g].id] = {
                 "found": _step_of(float(self._matches.det_score[d])) if found else 0,
-                # Detections are told in the order of their numbers.
+                # Detections are listed in the order of their numbers.
                 "by": d - _of_image(self._matches.det_image, index).start if found else None,
                 "wrong": np.flatnonzero(self._wrong[g]).tolist(),
             }

@@ -1,7 +1,7 @@
-"""A server for one browser on this machine, which the pages of this package are made of.
+"""Local web server for the pages of this package.
 
-It listens on this machine's own address only, refuses requests that come by another name or from another page, and
-sends with everything a policy under which the page asks nobody else.
+It listens on the loopback address only. It rejects requests under another host name or from another page, and sends a
+content security policy that keeps the page from contacting other hosts.
 """
 
 import errno
@@ -72,7 +72,7 @@ class LocalServer(ThreadingHTTPServer):
         super().__init__((LOCAL_ADDRESS, port), handler)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that goes on before its answer is whole is no error."""
+        """Ignore connections that the browser closed before the answer was complete."""
         if not isinstance(sys.exception(), ConnectionError | TimeoutError):
             super().handle_error(request, client_address)
 
@@ -87,7 +87,7 @@ class LocalHandler(BaseHTTPRequestHandler):
     timeout = 60
 
     def answer_to(self, path: str) -> Answer | None:
-        """Media type and content of what a path names; None for any other path."""
+        """Return media type and content for a path; None for an unknown path."""
         raise NotImplementedError
 
     def answer_to_post(self, path: str, data: bytes) -> tuple[int, str, bytes] | None:
@@ -137,7 +137,7 @@ class LocalHandler(BaseHTTPRequestHandler):
 
     def _is_own(self) -> bool:
         """Whether a request comes by this server's own name and from no other page; says so where it does not."""
-        # A page of another origin whose name leads here ("DNS rebinding") says its own name.
+        # A page of another origin that resolves to this address ("DNS rebinding") sends its own host name.
         hosts = self.headers.get_all("Host", [])
         if len(hosts) != 1 or not LOCAL_HOST.fullmatch(hosts[0].strip()):
             self.send_error(HTTPStatus.FORBIDDEN, "open this server as localhost or 127.0.0.1")
@@ -156,12 +156,12 @@ class LocalHandler(BaseHTTPRequestHandler):
     do_HEAD = do_PUT = do_DELETE = do_PATCH = do_OPTIONS = _refuse
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """Answer with a line of text, which is also how the base class refuses what is no request at all.
+        """Answer with one line of text. The base class calls this for malformed requests, too.
 
         Args:
             code: HTTP status.
-            message: The line; None: what the status is called.
-            explain: Not used: of the base class.
+            message: The line; None for the name of the status.
+            explain: Ignored; part of the interface of the base class.
         """
         self._send(code, TEXT_TYPE, (message or HTTPStatus(code).phrase).encode(errors="replace"))
 
@@ -179,7 +179,7 @@ class LocalHandler(BaseHTTPRequestHandler):
             self.wfile.write(data)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing: whoever looks at the page sees what comes."""
+        """Log nothing."""
 
 
 def bound_to(make: Callable[[int], S], port: int | None) -> S:
