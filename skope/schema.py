@@ -27,7 +27,7 @@ VEHICLE_CATEGORY: Final = "vehicle"
 PEDESTRIAN_CATEGORY: Final = "pedestrian"
 """Category of people on foot."""
 CATEGORY_NAMES: Final = (VEHICLE_CATEGORY, "bicycle", "motorcycle", PEDESTRIAN_CATEGORY)
-"""Names of the categories; ids count from 1. Only vehicles have keypoints. A rider is part of the bicycle or motorcycle."""
+"""Names of the categories; ids count from 1. Only vehicles have keypoints. A rider is part of the two-wheeler."""
 VEHICLE_ALONE: Final = CATEGORY_NAMES[:1]
 """Categories of a file in which only vehicles are labelled."""
 CATEGORY_ID: Final = 1
