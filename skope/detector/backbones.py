@@ -1,7 +1,7 @@
-"""Backbones: torchvision's classifiers, whose layers make the feature maps of a detector's pyramid.
+"""Backbones: torchvision's classifiers as feature extractors of a detector's pyramid.
 
-Each gives maps of strides 4, 8, 16 and 32, and the pyramid adds one of 64. That of ResNet50 is what torchvision's
-resnet_fpn_backbone builds, layer by layer and draw by draw.
+Each one has feature maps of strides 4, 8, 16 and 32; the pyramid adds one of stride 64. The ResNet50 pyramid equals
+that of torchvision's resnet_fpn_backbone in layers and in the order of random draws.
 
 A frozen norm is y = a x + b per channel with constant a and b. It can be folded into the convolution before it, with
 weights w: the folded convolution has weights a w and bias b.
@@ -60,7 +60,7 @@ def multiply_in(model: KeypointRCNN) -> None:
 
 
 NormLayer = Callable[[int], nn.Module]
-"""Makes a norm of so many channels."""
+"""Constructor of a normalisation layer for a number of channels."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,7 +26,7 @@ NORM_NAMES: Final = ("frozen", "batch")
 
 @dataclass(frozen=True)
 class NetworkDefaults:
-    """Sizes of torchvision's own Keypoint R-CNN, and limits of what it finds."""
+    """Sizes of torchvision's Keypoint R-CNN, and limits of its detections."""
 
     anchors: tuple[int, ...] = (32, 64, 128, 256, 512)
     """Sides of the anchors in torchvision's own model, pixels inside the network: one for each level of the
@@ -75,8 +75,8 @@ class DetectorConfig:
     anchors: tuple[int, ...] = NETWORK_DEFAULTS.anchors
     """Sides of the anchors of each level of the pyramid, finest first, pixels inside the network."""
     categories: tuple[str, ...] = schema.VEHICLE_ALONE
-    """Names of what it finds, of `schema.CATEGORY_NAMES`: label k of the network is the k-th, label 0 the background.
-    Vehicles are label 1, and they alone have keypoints."""
+    """Names of the classes, from `schema.CATEGORY_NAMES`. Label k of the network is the k-th class, label 0 the
+    background. Vehicles have label 1; only they have keypoints."""
     box_passes: int = 1
     """Passes of the box head: 2 lets it correct each box once more, from the box itself."""
     backbone: str = DEFAULT_BACKBONE
@@ -176,7 +176,7 @@ def check_anchors(anchors: Sequence[int]) -> None:
 
 
 def check_box_passes(passes: int) -> None:
-    """Raise a UserError unless the box head can look so often."""
+    """Raise a UserError unless the number of box head passes is supported."""
     if isinstance(passes, bool) or passes not in (1, 2):
         raise UserError(f"box_passes: expected 1 or 2, got {passes!r}")
 
@@ -203,10 +203,10 @@ def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: i
 
     Args:
         config: Backbone, widths, categories, normalisation, and size of the images inside the network.
-        trainable_layers: How many of the backbone's stages learn, 0 to 5 from the last one, where normalisation is
-            frozen; with normalisation that learns all of them do, as in torchvision.
-        num_keypoints: Another number than 33 is for weights that were trained on such a scheme and whose predictor is
-            replaced next.
+        trainable_layers: Number of trainable backbone stages with frozen normalisation, 0 to 5, from the last one. With
+            trainable normalisation all stages are trainable, as in torchvision.
+        num_keypoints: Number of keypoints. Values other than 33 are for weights with another scheme, the predictor of
+            which is replaced afterwards.
     """
     norm = FrozenBatchNorm2d if config.norm == "frozen" else nn.BatchNorm2d
     backbone = with_pyramid(

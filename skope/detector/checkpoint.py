@@ -1,4 +1,4 @@
-"""Checkpoints: safetensors whose header says which model their tensors are of; which file of a run is meant."""
+"""Checkpoints: safetensors files with the model configuration in the header; selection of a file of a run."""
 
 import json
 import re
@@ -25,13 +25,13 @@ _FORMAT_VERSION: Final = 1
 
 
 def save_weights(path: Path, model: KeypointRCNN, config: DetectorConfig, metadata: Mapping[str, Any]) -> None:
-    """Write a checkpoint, whose tensors are those of torchvision's own model: they load there with `strict=True`.
+    """Write a checkpoint. Its tensors load into torchvision's model with `strict=True`.
 
     Args:
         path: The .safetensors file to write.
         model: The weights.
-        config: What the weights do not tell about the model.
-        metadata: JSON values, which `load_weights` gives back.
+        config: Model configuration that the weights do not contain.
+        metadata: JSON values, which `load_weights` returns.
     """
     write_bytes(path, checkpoint_bytes(model, config, metadata))
 
@@ -44,15 +44,15 @@ def checkpoint_bytes(
     packed: bool = False,
     moments: Mapping[str, torch.Tensor] | None = None,
 ) -> bytes:
-    """A checkpoint: safetensors whose header holds scheme, config and metadata as JSON.
+    """Return a checkpoint as bytes: safetensors with scheme, config and metadata as JSON in the header.
 
     Args:
-        model: The model; the same one gives the same bytes.
-        config: What its state dict does not tell.
+        model: The model. Equal weights give equal bytes.
+        config: Model configuration that the state dict does not contain.
         metadata: JSON values.
-        packed: Whether the tensors are what `skope.detector.compact_weights` makes of them: a seventh of the bytes,
-            with a checksum.
-        moments: What `pack` takes.
+        packed: Whether the tensors are packed by `skope.detector.compact_weights`: a seventh of the bytes, with a
+            checksum.
+        moments: The argument of `pack`.
     """
     header: dict[str, Any] = {
         "version": _FORMAT_VERSION,
@@ -81,18 +81,18 @@ def full_state(model: KeypointRCNN) -> dict[str, torch.Tensor]:
 def load_weights(
     path: Path, device: torch.device | str, *, trainable_layers: int = 5
 ) -> tuple[KeypointRCNN, DetectorConfig, dict[str, Any]]:
-    """Load a checkpoint that `save_weights` wrote.
+    """Load a checkpoint of `save_weights`.
 
     Args:
         path: The .safetensors file.
-        device: Where the model shall be.
+        device: Device of the model.
         trainable_layers: As in `build`.
 
     Returns:
         The model in evaluation mode, its config, and the metadata.
 
     Raises:
-        UserError: The file, which it names, is no such checkpoint, or one of an unknown keypoint scheme.
+        UserError: The file is not such a checkpoint, or has an unknown keypoint scheme.
     """
     header, state = read_checkpoint(path)
     config = config_in(path, header)

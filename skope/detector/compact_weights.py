@@ -30,7 +30,7 @@ class PackingLimits:
     moment_damping: float = 0.01
     """Added to the moments' diagonal, as a share of its mean. They come from a sample."""
     columns_at_once: int = 128
-    """Number of columns whose errors are carried over to all later ones at once."""
+    """Number of columns with rounding errors that are passed on to all later columns together."""
     most_bytes: int = 33_500_000
     """Maximum size of the rounded weights of a detector."""
     largest_step: int = 127

@@ -49,10 +49,10 @@ HEATMAP_KERNEL: Final = HeatmapKernel()
 
 
 def heatmap_peaks(maps: Tensor, boxes: Tensor) -> tuple[Tensor, Tensor]:
-    """The places and values of the largest values of heat maps that are enlarged to their boxes.
+    """Return positions and values of the maxima of heat maps that are enlarged to their boxes.
 
-    The answer is that of torchvision's `heatmaps_to_keypoints` up to rounding: of two places whose values
-    differ by less than that, either may be it.
+    The result equals that of torchvision's `heatmaps_to_keypoints` up to rounding: if two values differ by less than
+    the rounding error, either position can be returned.
 
     Args:
         maps: (N, K, H, W) logits of K keypoints of N vehicles.
@@ -74,7 +74,10 @@ def heatmap_peaks(maps: Tensor, boxes: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _chunks(sizes: list[list[int]], most: int) -> list[tuple[list[int], int, int]]:
-    """Numbers of the vehicles that are enlarged together, alike in size to save padding, and their largest sides."""
+    """Yield groups of vehicles (indices) that are enlarged together, and their largest sides.
+
+    Vehicles of a group have similar sizes, which saves padding.
+    """
     chunks: list[tuple[list[int], int, int]] = []
     for i in sorted(range(len(sizes)), key=lambda i: max(sizes[i])):
         members, width, height = chunks.pop() if chunks else ([], 0, 0)
@@ -129,17 +132,17 @@ def detect(
     max_detections: int = NETWORK_DEFAULTS.max_detections,
     categories: Sequence[str] = schema.VEHICLE_ALONE,
 ) -> list[Detections]:
-    """Find vehicles, and other road users, in images, which go through the network as one batch.
+    """Detect vehicles and other road users in images, as one batch.
 
-    In an image that is less than a pixel wide or high inside the network there are none.
+    An image that is less than a pixel wide or high inside the network has no detections.
 
     Args:
         model: The detector.
         images: (H, W, 3) uint8 sRGB each, of any sizes.
-        device: Where the model is.
-        min_score: Only detections that score above this are made.
-        max_detections: The best of an image, at most so many, those of all categories together.
-        categories: What the network's labels are, as in `DetectorConfig`.
+        device: Device of the model.
+        min_score: Score threshold.
+        max_detections: Maximum number of detections per image, over all categories.
+        categories: Names of the network's labels, as in `DetectorConfig`.
 
     Returns:
         The detections of each image.
@@ -262,7 +265,7 @@ def _in_pixels(rectangles: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
 
 
 def _scale(inner_size: tuple[int, int], size: tuple[int, int]) -> torch.Tensor:
-    """(2,) from pixels inside the network, whose height and width these are, to those of a (width, height) image."""
+    """Return the (2,) factors from pixels inside the network (height, width) to those of a (width, height) image."""
     return torch.tensor([size[0] / inner_size[1], size[1] / inner_size[0]], dtype=torch.float64)
 
 
@@ -280,7 +283,7 @@ def _short_side(model: KeypointRCNN, image: NDArray[np.uint8]) -> float:
 def detect_on_boxes(
     model: KeypointRCNN, image: NDArray[np.uint8], boxes_xyxy: ArrayLike, device: torch.device | str
 ) -> NDArray[np.float64]:
-    """Find the keypoints of vehicles whose boxes are given: localisation apart from detection.
+    """Localise the keypoints of vehicles in given boxes, without detection.
 
     Args:
         model: The detector.

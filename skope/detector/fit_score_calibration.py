@@ -130,7 +130,7 @@ class CalibrationJob:
     last: float | None
     """Share at the end of each recording that is taken; None: all of a test split, or what training validated on."""
     score: float
-    """Detections above this are learnt from: those whose keypoints will be used."""
+    """Score threshold of the detections that the calibration is fitted to."""
     settings: Settings
     max_images: int | None = None
     out: Path | None = None

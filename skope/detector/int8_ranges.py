@@ -1,7 +1,7 @@
-"""Ranges of the inputs of a detector's layers on images, as arithmetic in eight bits needs to know of them.
+"""Value ranges of the inputs of a detector's layers, which int8 inference needs.
 
-The ranges are part of a checkpoint's metadata. Layers whose weights stay in 16 bits when a checkpoint is packed
-(`skope.detector.compact_weights`), the first and the last ones, have none: they are computed as they are.
+The ranges are part of a checkpoint's metadata. The first and last layers, with weights that stay in 16 bits in a packed
+checkpoint (`skope.detector.compact_weights`), have no range: they are not quantised.
 """
 
 import contextlib

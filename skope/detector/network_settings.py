@@ -37,8 +37,8 @@ class Settings:
     tiles: str = "none"
     """Whether parts of the image go through the network too: "auto" where it is larger than the network takes it."""
     one_size: bool = True
-    """Whether images have one size, or few, for each of which a backend may prepare: a fifth faster, after 1.5 s
-    for each size. What is found in an image does not depend on those before it either way."""
+    """Whether all images have one of a few sizes. A backend then prepares for each size, which takes 1.5 s and is a
+    fifth faster afterwards. The detections of an image never depend on earlier images."""
     calibrated: bool = True
     """Use the calibration beside the weights, if there is one."""
 

@@ -123,7 +123,7 @@ class Predictor:
         console: Console,
     ) -> None:
         self.model = model
-        """The network, whose parts a backend may have taken over."""
+        """The network; a backend may compute parts of it."""
         self.config, self.metadata = config, metadata
         self.weights = weights
         self._calibration, self._settings = calibration, settings
@@ -226,7 +226,7 @@ class Predictor:
         return (self.weights, *beside)
 
     def split(self, file: AnnotationFile, root: Path) -> tuple[Result, ...]:
-        """The vehicles of every image of `file`, whose file names are relative to `root`, in order of the images."""
+        """Yield the vehicles of each image of `file`, in order. File names are relative to `root`."""
         return tuple(vehicle for _, found in self.by_image(file, root) for vehicle in apart(found)[0])
 
     def by_image(
@@ -327,7 +327,7 @@ class Predictor:
 
 
 def default_batch_size(device: torch.device) -> int:
-    """Number of images that go through the network together on a device, unless it is said otherwise."""
+    """Return the default number of images per batch on a device."""
     if device.type != "cuda":
         return 1
     large = torch.cuda.get_device_properties(device).total_memory >= BATCH_SIZES.large_gpu_bytes

@@ -64,7 +64,7 @@ def sigmoid(x: Array) -> Array:
 
 
 def raw_maxima(p: Array) -> Array:
-    """The heat maps' maxima of which `skope.detector` gives the sigmoid p in float64; 36 is where that ends at 1."""
+    """Return the maxima of the heat maps from their sigmoid p in float64; 36 where p is 1."""
     p = np.clip(p, 2.0**-52, 1 - 2.0**-53)
     return np.asarray(np.log(p) - np.log1p(-p))
 
@@ -77,8 +77,8 @@ def fit(raw: Array, right: NDArray[np.bool_], fitted_on: dict[str, Any]) -> Scor
 
     Args:
         raw: (N, 33) raw maxima of the heat maps.
-        right: (N, 33) whether each point was visible and near enough.
-        fitted_on: Of what data they are, for the file.
+        right: (N, 33) whether each point was visible and close enough.
+        fitted_on: Description of the data, for the file.
     """
     if not len(raw):
         raise UserError("nothing to calibrate on: no detection matched a vehicle")

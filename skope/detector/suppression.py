@@ -33,7 +33,7 @@ def not_overlapped(boxes: Tensor, good: Tensor, most: float) -> Tensor:
 
 
 def _not_overlapped(boxes: Tensor, good: Tensor, most: float) -> Tensor:
-    """As `not_overlapped`, of groups whose pairs fit into the memory."""
+    """Apply `not_overlapped` to groups with few enough pairs for the memory."""
     area = (boxes[..., 2:] - boxes[..., :2]).prod(dim=-1)
     common = torch.minimum(boxes[:, :, None, 2], boxes[:, None, :, 2])
     common -= torch.maximum(boxes[:, :, None, 0], boxes[:, None, :, 0])

@@ -21,7 +21,7 @@ class MatchingLimits:
     """Limits of matching anchors and proposals to boxes."""
 
     discarded: int = -1
-    """Label of what is neither of a category nor background."""
+    """Label of boxes that are neither of a category nor background."""
     ignored_share: float = 0.5
     """Share of a box's area inside an ignored box from which it is ignored."""
     iou: float = 0.5
@@ -37,14 +37,16 @@ _BELOW, _BETWEEN = -1, -2
 
 
 def assign(boxes: Tensor, batch: TargetBatch, *, low: float, high: float, low_quality: bool) -> tuple[Tensor, Tensor]:
-    """Labels of boxes and whose they are.
+    """Assign labels and ground-truth boxes to anchors or proposals.
 
     Args:
         boxes: (N, 4) xyxy of anchors, the same for all images, or (B, N, 4) of each image's proposals.
         batch: The ground truth of the B images.
         low: IoU below which a box is background.
-        high: IoU from which it is of the vehicle or other road user that it overlaps most; between it is neither.
-        low_quality: Whether the boxes that overlap somebody most are theirs, however little that is.
+        high: Minimum IoU for a box to be assigned to the road user that it overlaps most. Between `low` and `high` it
+            is neither.
+        low_quality: Also assign each ground-truth box its best-overlapping boxes, even below `high`. Useful for small
+            objects in the RPN.
 
     Returns:
         (B, N) int64 labels: that of the ground truth, 0 for background, `MATCHING_LIMITS.discarded`; and (B, N) int64
@@ -87,8 +89,7 @@ def _area(boxes: Tensor) -> Tensor:
 
 
 def _match(quality: Tensor, present: Tensor, low: float, high: float, *, low_quality: bool) -> tuple[Tensor, Tensor]:
-    """(B, N) best IoU, -1 where there is nobody, and (B, N) whose it is, `_BELOW` or `_BETWEEN`, as torchvision has
-    it."""
+    """Return (B, N) best IoU, -1 without ground truth, and (B, N) its index, `_BELOW` or `_BETWEEN`, as torchvision."""
     quality = quality.masked_fill_(~present[:, :, None], -1.0)
     best, whose = quality.max(dim=1)
     match = torch.where(best < low, _BELOW, torch.where(best < high, _BETWEEN, whose))

@@ -35,7 +35,7 @@ class CropRules:
     margin_rows: int = 5
     """Rows to which the image is reduced for the margin around it. Nothing in it can be recognised."""
     cutting_share: float = 0.25
-    """Share of the crops whose edge passes through a vehicle. They are enlarged by 1.5 or more."""
+    """Fraction of the crops with an edge through a vehicle. They are enlarged by 1.5 or more."""
     least_cut_height: float = 0.05
     """Least height of a vehicle that is cut, in heights of the image."""
 
@@ -53,7 +53,7 @@ class Augment:
     flip: float = 0.5
     """Mirror the image: left and right exchanged."""
     crop: float = 0.0
-    """Scale between 0.3 and 2.5 and another part of the view, whose edge may cut vehicles; the image keeps its size."""
+    """Random scale from 0.3 to 2.5 and random crop, which can cut vehicles; the image keeps its size."""
     occluders: float = 0.0
     """Flat rectangles before parts of vehicles: the points under them are hidden."""
     color: float = 0.0
@@ -71,7 +71,7 @@ class Augment:
     blur: float = 0.0
     """Blur as by wrong focus or by motion."""
     noise: float = 0.0
-    """Noise of the sensor, of its own in each channel or alike in all."""
+    """Sensor noise, independent per channel or equal in all."""
     resample: float = 0.0
     """Scale the image down, to a fifth at least, and up again, sharpened with halos half of the time."""
     jpeg: float = 0.0

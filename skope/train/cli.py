@@ -117,13 +117,13 @@ def run(
         ),
     ] = False,
     keep: Annotated[int, output(help="Checkpoints of epochs to keep, beside the best one.")] = 1,
-    save_minutes: Annotated[float, output(help="Save the state so often within an epoch.")] = 10,
+    save_minutes: Annotated[float, output(help="Minutes between saves of the training state within an epoch.")] = 10,
     device: Annotated[str, machine(metavar="[auto|cpu|cuda|cuda:N]", help="Where to compute.")] = "auto",
     workers: Annotated[int | None, machine(help="Processes that load images; changes no result.")] = None,
 ) -> None:
     """Train on split `train` of a dataset folder, with a checkpoint after each epoch (one a minute at most).
 
-    The same command goes on where a stopped one was.
+    The same command resumes a stopped run.
     """
     for name, value in (("epochs", epochs), ("batch-size", batch_size), ("max-images", max_images), ("keep", keep)):
         if value is not None and value < 1:

@@ -91,8 +91,8 @@ def new_or_same(
         raise UserError(f"{error}; choose another folder by --out, or move this one away") from None
     if other := changed_options(_flat(held), _flat(_completed(wanted, held))):
         raise UserError(
-            f"{out}: holds another run: {'; '.join(other)}. --resume goes on with it as it was begun, for longer with "
-            "--epochs; or choose another folder by --out"
+            f"{out}: holds another run: {'; '.join(other)}. --resume continues it with its saved options, "
+            "--epochs extends it; or choose another folder by --out"
         )
     return replace(held, data=wanted.data), True
 
@@ -115,12 +115,12 @@ def _flat(config: RunConfig) -> dict[str, Any]:
 
 
 def again(out: Path, data: Sequence[Path], flags: Mapping[str, Any]) -> RunConfig:
-    """Configuration of a run to go on with; only its length, and the datasets' places, may change.
+    """Return the configuration of a run to resume. Only its length and the paths of the datasets can change.
 
     Args:
         out: The run folder.
-        data: Dataset folders; none: those that the run began with.
-        flags: As `new` takes them.
+        data: Dataset folders; empty for those of the run.
+        flags: As in `new`.
 
     Raises:
         UserError: There is no such run, or a flag differs from the run's.
@@ -149,7 +149,7 @@ def again(out: Path, data: Sequence[Path], flags: Mapping[str, Any]) -> RunConfi
 
 def loading_workers(*, gpu: bool) -> int:
     """Loading in the same process is fast enough for a CPU, which has no time to spare for others."""
-    processes = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # torchrun starts so many on this machine
+    processes = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # number of processes that torchrun starts on this machine
     return min(_MOST_WORKERS, max(1, usable_processors() // processes)) if gpu else 0
 
 

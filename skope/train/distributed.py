@@ -1,4 +1,4 @@
-"""Several processes that train one model, as `torchrun` starts them: who this one is, and sums over all of them."""
+"""Distributed training under `torchrun`: rank of this process, and sums over all processes."""
 
 import contextlib
 import os

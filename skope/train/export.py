@@ -112,17 +112,16 @@ EXPORT_SAMPLING: Final = ExportSampling()
 def gather(
     model: KeypointRCNN, images: Iterable[NDArray[np.uint8]], categories: Sequence[str] = VEHICLE_ALONE
 ) -> dict[str, Tensor]:
-    """Second moments of the inputs of all convolutions and linear layers, by the names of their weights.
+    """Measure second moments of the inputs of all convolutions and linear layers, by the names of their weights.
 
     Args:
         model: In evaluation mode, on the CPU or a GPU.
-        images: (H, W, 3) RGB, dozens of what the detector is for.
-        categories: What the network's labels are: only vehicles go through the keypoint head.
+        images: (H, W, 3) RGB, dozens of typical images.
+        categories: Names of the network's labels; only vehicles go through the keypoint head.
 
     Returns:
         Weight's name -> (N, N) float32 mean of x x^T, where N is the number of weights of an output channel and x lie
-        in the order of `weight.flatten(1)`. Layers that no image reached are left out, and convolutions in groups,
-        each of whose outputs has other inputs.
+        in the order of `weight.flatten(1)`. Layers that no image reached and grouped convolutions are omitted.
     """
     layers = {name: module for name, module in model.named_modules() if _has_moments(module)}
     sums: dict[str, Tensor] = {}
@@ -190,7 +189,7 @@ CATEGORIES_OUTPUT: Final = "categories"
 
 
 class Deployed(nn.Module):
-    """A detector of one image whose answer is a tuple of tensors, `OUTPUT_NAMES`."""
+    """A detector for one image that returns a tuple of tensors, `OUTPUT_NAMES`."""
 
     def __init__(self, model: KeypointRCNN) -> None:
         super().__init__()
@@ -209,7 +208,7 @@ class _Scripted(Deployed):
 
 
 class DeployedCategories(nn.Module):
-    """A detector of one image and several categories, whose answer is `OUTPUT_NAMES` and `CATEGORIES_OUTPUT`."""
+    """A detector for one image and several categories that returns `OUTPUT_NAMES` and `CATEGORIES_OUTPUT`."""
 
     ids: Tensor
     """Id of the category of each of the network's labels."""
@@ -244,21 +243,21 @@ def _in_order(found: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]
 
 
 def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = None, console: Console) -> Path:
-    """Write a checkpoint in another form.
+    """Export a checkpoint to another format.
 
     Args:
         checkpoint: A file or a run folder.
         to: One of `EXPORT_SUFFIXES`.
-        out: The file; None: beside the checkpoint.
-        data: A dataset, whose training images tell what the layers' inputs are: a compact file's weights are rounded so
-            that the layers' outputs change least, and the file says how large the inputs are, as eight bits need it.
-        console: Says what is done.
+        out: The file; None for a file beside the checkpoint.
+        data: A dataset. Its training images give the inputs of the layers: the weights of a compact file are rounded so
+            that the outputs of the layers change least, and the file has the input ranges for int8.
+        console: Receives messages.
 
     Returns:
         The file.
 
     Raises:
-        UserError: The checkpoint or the dataset cannot be read, or something else is in the file's place.
+        UserError: The checkpoint or the dataset cannot be read, or the output path exists with other content.
     """
     one_of("--to", to, tuple(EXPORT_SUFFIXES))
     if data and to != "compact":

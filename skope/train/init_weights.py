@@ -117,36 +117,35 @@ def initialise(
     categories: tuple[str, ...] = VEHICLE_ALONE,
     network: NetworkShape = AS_GIVEN,
 ) -> tuple[KeypointRCNN, DetectorConfig, str]:
-    """Build a detector with the weights from which training begins.
+    """Build a detector with its initial weights.
 
-    Weights that were trained for other categories than those asked for give what they have in common, and the
-    background; the others begin anew. The one class of weights that do not name theirs is the vehicles'.
+    If the weights were trained for other categories, the common categories and the background are kept; the others
+    start from random weights. The only class of weights without category names is taken for vehicles.
 
     Args:
-        init: `auto`: weights trained on COCO if their file lies in torchvision's cache, else the detector that
-            comes with skope where it has the same keypoints, else random ones; of a network that these do not fit, a
-            backbone trained on ImageNet if it lies in that cache, else random ones; never from the internet. `coco`
-            and `imagenet`: downloaded where they are not there. `random`. Anything else is what `find_checkpoint`
-            takes: a checkpoint of skope or of torchvision.
-        norm: Normalisation, one of `skope.train.recipe.NORM_CHOICES`. `given` is frozen for trained weights and learns
-            for random ones, as in torchvision.
-        min_size: Short side of the images inside the network, pixels; None: that of the first weights if they are a
+        init: `auto`: COCO weights if they are in torchvision's cache, else the shipped detector if it has the same
+            keypoints, else random weights. For another network: an ImageNet backbone if it is in that cache, else
+            random weights; `auto` never downloads. `coco` and `imagenet` download missing weights. `random`: random
+            weights. Any other value is a checkpoint of skope or torchvision, as in `find_checkpoint`.
+        norm: Normalisation, one of `skope.train.recipe.NORM_CHOICES`. `given` is frozen for trained weights and
+            trainable for random ones, as in torchvision.
+        min_size: Short side of the images inside the network, pixels; None: that of the initial weights if they are a
             checkpoint of skope, else that of `SMALL_SIZE`.
-        max_size: Largest long side of the images inside the network, pixels; None: likewise.
-        trainable_layers: Stages of a trained backbone that learn on, 0 to 5 from the last.
-        seed: Draws what no file gives.
-        scheme: The keypoints that are to be learnt; a checkpoint of skope must have them.
-        anchors: Sides of the anchors of each level; None: those of the first weights.
-        box_passes: How often the box head looks; None: as with the first weights.
-        categories: Names of what is to be found.
-        network: Backbone and widths; a checkpoint of skope must have them, and a file of torchvision's that differs
-            from torchvision's own model does not tell them.
+        max_size: Maximum long side of the images inside the network, pixels; None: as for `min_size`.
+        trainable_layers: Number of trainable stages of a trained backbone, 0 to 5, from the last one.
+        seed: Seed of the random weights.
+        scheme: Keypoints to train; a checkpoint of skope must have them.
+        anchors: Anchor sizes of each level; None: those of the initial weights.
+        box_passes: Number of box head passes, 1 or 2; None: as in the initial weights.
+        categories: Names of the classes.
+        network: Backbone and widths. A checkpoint of skope must have them; for torchvision files they must be those of
+            torchvision's model.
 
     Returns:
-        The model, its config, and the choice in words.
+        The model, its config, and a description of the chosen weights.
 
     Raises:
-        UserError: There are no such weights, they are of another model or scheme, or cannot be downloaded.
+        UserError: The weights do not exist, belong to another model or scheme, or cannot be downloaded.
     """
 
     def completed(given: DetectorConfig) -> DetectorConfig:
@@ -234,7 +233,7 @@ def _from_file(
 
 
 def _plain(norm: str, network: NetworkShape) -> DetectorConfig:
-    """The config of weights that say nothing of it but what their tensors show."""
+    """Return the config of weights without metadata, as far as their tensors show it."""
     asked = network.asked
     eps = BACKBONE_CHOICES[asked.get("backbone", DEFAULT_BACKBONE)].norm_eps
     return DetectorConfig(norm=norm, norm_eps=eps, min_size=SMALL_SIZE[0], max_size=SMALL_SIZE[1], **asked)

@@ -70,7 +70,7 @@ class CheckpointPolicy:
     checkpoint_interval_s: float = TRAINING_INTERVALS.checkpoint_s
     """A checkpoint is written after an epoch only when the last one is older than this, seconds."""
     state_interval_s: float = TRAINING_INTERVALS.state_s
-    """Within an epoch the state is saved so often, seconds."""
+    """Interval between saves of the state within an epoch, seconds."""
 
 
 def train(
@@ -240,7 +240,7 @@ class _Run:
 
     def go(self) -> Path:
         """Train all epochs that are left; returns the last checkpoint."""
-        # Loading goes on from epoch to epoch: to begin anew takes the processes seconds, an epoch of a few images less.
+        # Loading continues through all epochs: restarting the processes takes seconds, longer than a small epoch.
         board = contextlib.nullcontext() if self.board is None else contextlib.closing(self.board)
         with self.progress, board, contextlib.closing(self._loaded()) as samples:
             while self.training.epochs_done < self.config.recipe.epochs:
@@ -309,9 +309,9 @@ class _Run:
             raise
 
     def _votes(self) -> tuple[float, float]:
-        """Whether this process was asked to stop, and whether it is time to save: 1 or 0 each.
+        """Return two votes, 1 or 0: whether this process was asked to stop, and whether a save is due.
 
-        All processes act on the sums of these votes, and so alike.
+        All processes act on the sums of these votes, and therefore in the same way.
         """
         due = self.processes.first and time.monotonic() - self.saved_at >= self.saving.state_interval_s
         return float(self.stop.asked is not None), float(due)

@@ -1,10 +1,9 @@
 """The losses of torchvision's Keypoint R-CNN, computed for all images of a batch at once.
 
-They are those that the model itself returns in training, up to rounding and to which boxes are drawn, with three rules
-besides: what lies on something ignored is neither of a category nor background, the keypoint head, which torchvision
-has learn from all categories, gets vehicles alone, and not too many. torchvision launches some thousand small
-operations and waits hundreds of times for the GPU in a step of 16 images; this takes a tenth of both, so that the GPU
-has its next work while it does the last (scripts/bench_train.py).
+They equal the losses of torchvision's model up to rounding and the random choice of boxes. Three rules differ: (1)
+boxes on ignored regions are neither positive nor background; (2) only vehicles train the keypoint head; (3) their
+number per image is limited. In a step of 16 images torchvision launches a few thousand small operations and waits
+hundreds of times for the GPU. This module takes a tenth of both, which keeps the GPU busy (scripts/bench_train.py).
 """
 
 import math
@@ -37,7 +36,7 @@ _LEAST_SIDE_PX: Final = 1.0
 
 @dataclass(frozen=True)
 class LossSettings:
-    """Rules of a training step, besides those in the model."""
+    """Settings of the losses in addition to those of the model."""
 
     regions: int
     """Regions of an image that the second stage learns from, at most a quarter of them vehicles and other road
@@ -55,19 +54,18 @@ def detection_losses(
     rules: LossSettings,
     teacher: Teacher | None = None,
 ) -> dict[str, Tensor]:
-    """Take a batch through a model in training.
+    """Compute the training losses of a batch.
 
     Args:
         model: The detector.
-        pixels: Of each image (3, H, W) uint8 sRGB, on the model's device.
-        targets: Of each image boxes (N, 4) xyxy, labels (N,), keypoints (N, K, 3), ignored_boxes (M, 4), on the CPU, in
+        pixels: One (3, H, W) uint8 sRGB tensor per image, on the device of the model.
+        targets: Per image boxes (N, 4) xyxy, labels (N,), keypoints (N, K, 3) and ignored_boxes (M, 4), on the CPU, in
             pixels of the image; vehicles have label 1.
-        rules: What is learnt from.
-        teacher: A detector whose answers are learnt, too.
+        rules: Settings of the losses.
+        teacher: Detector for distillation; None for none.
 
     Returns:
-        The losses by torchvision's names, and those of `skope.train.teacher.TEACHER_LOSSES` if there is one: float32
-        scalars.
+        The losses as float32 scalars by torchvision's names, and `skope.train.teacher.TEACHER_LOSSES` with a teacher.
     """
     images, before = network_images(model.transform, pixels)
     batch = TargetBatch.of(
@@ -242,17 +240,17 @@ def _second_look(
     somebody: Tensor,
     sizes: list[HeightWidth],
 ) -> Tensor:
-    """Sum of the errors of the offsets that the box head finds from the boxes that it has found.
+    """Sum the errors of the offsets in the second pass of the box head.
 
     Args:
         heads: The second stage.
         features: The pyramid.
         boxes: (B, S, 4) regions.
-        offsets: (B, S, 4) what the head has found from them.
-        truth: (B, S, 4) the boxes whose they are.
-        labels: (B, S) of whom they are.
-        somebody: (B, S) bool which of them are somebody's, and learnt from.
-        sizes: Of the images inside the network.
+        offsets: (B, S, 4) offsets of the first pass.
+        truth: (B, S, 4) assigned ground-truth boxes.
+        labels: (B, S) labels of these boxes.
+        somebody: (B, S) bool, whether a region is assigned and sampled.
+        sizes: Sizes of the images inside the network.
     """
     found = _clipped(_moved(boxes, offsets, heads.box_coder), sizes)[somebody]
     found = torch.cat([found[:, :2], torch.maximum(found[:, 2:], found[:, :2] + _LEAST_SIDE_PX)], dim=1)
@@ -267,7 +265,7 @@ def _second_look(
 def _regions(
     heads: RoIHeads, proposals: list[Tensor], batch: TargetBatch, rules: LossSettings
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Lesson of the second stage: boxes (B, S, 4), labels, whose they are, and which are drawn (B, S)."""
+    """Training sample of the second stage: boxes (B, S, 4), labels, ground-truth indices and sampled mask (B, S)."""
     lengths = to_device([len(each) for each in proposals], batch.boxes.device)[:, None]
     padded = torch.nn.utils.rnn.pad_sequence(proposals, batch_first=True)
     boxes = torch.cat([padded, batch.boxes], dim=1)

@@ -28,7 +28,7 @@ class MonitorLimits:
     """What a run reports while it trains."""
 
     measured_steps: int = 2
-    """Number of steps whose duration gives the expected length of the run."""
+    """Number of timed steps that the remaining time of the run is estimated from."""
     sheet_images: int = 4
     """Number of images on the progress sheet."""
     drawn_score: float = 0.5
@@ -97,15 +97,15 @@ def announce(
     where: str,
     console: Console,
 ) -> None:
-    """Say how a run trains, on what, and what is unusual about it.
+    """Report how a run trains, on which data, and what is unusual about it.
 
     Args:
         config: Datasets, recipe and seed.
-        training: The state that it begins or goes on with.
-        training_set: What is learnt from, of all datasets.
+        training: The state at the start or after resuming.
+        training_set: Training images of all datasets.
         parts: The datasets, one by one.
         where: Device and processes, in words.
-        console: Where it is said.
+        console: Receives the messages.
     """
     recipe = config.recipe
     console.say(f"{recipe.describe(training.config.min_size)}; {training.origin}; seed {config.seed}; {where}")

@@ -1,6 +1,6 @@
-"""Training recipes as data: every value that shapes the result, read from TOML files and `name=value` flags.
+"""Training recipes: all values that influence the result, read from TOML files and `name=value` options.
 
-A recipe may name a teacher: a detector whose answers a smaller one learns from.
+A recipe can name a teacher: a detector that a smaller one is distilled from.
 """
 
 import math
@@ -22,7 +22,7 @@ from skope.train.network_shape import NetworkShape
 
 @dataclass(frozen=True, kw_only=True)
 class TeacherRules:
-    """The detector whose answers are learnt beside the labels, and the weight of each kind; labels count 1."""
+    """Teacher of a distillation, and the weight of each of its losses; the losses of the labels have weight 1."""
 
     checkpoint: str | None = None
     """A name, run folder or file, as `--checkpoint` takes it; None: labels alone are learnt."""
@@ -32,8 +32,7 @@ class TeacherRules:
     temperature: float = 1.0
     """Logits are divided by it before they become probabilities: more makes them softer."""
     sharpen: float = 1.0
-    """The teacher's heat maps are multiplied by it: those of a detector whose scores were calibrated are flatter than
-    what it has learnt."""
+    """Factor on the heat maps of the teacher. Calibration of its scores has flattened them; this restores them."""
 
     def __post_init__(self) -> None:
         for name in ("classes", "boxes", "keypoints"):
@@ -108,7 +107,7 @@ class Recipe:
     momentum: float
     weight_decay: float
     step_size: int | None
-    """The learning rate is multiplied by `gamma` after every so many epochs; None: once, after half of them."""
+    """Number of epochs after which the learning rate is multiplied by `gamma`; None: once, after half the epochs."""
     gamma: float
     cosine_to: float | None
     """The learning rate falls along half a cosine to this share of itself instead; None: in steps."""
@@ -132,9 +131,9 @@ class Recipe:
     anchors: tuple[int, ...] | None
     """Sides of the network's anchors, one for each of its five levels, pixels; None: those of the first weights."""
     box_passes: int | None
-    """Number of looks of the box head at what is found, 1 or 2; None: as with the first weights."""
+    """Number of box head passes, 1 or 2; None: as in the initial weights."""
     ignore_below: float
-    """Vehicles whose box has a shorter edge than this inside the network are neither learnt nor background, pixels."""
+    """Minimum shorter edge of a vehicle's box inside the network, pixels. Smaller vehicles are ignored in training."""
     trainable_layers: int
     """Stages of a trained backbone that learn on, 0 to 5 from the last (random weights learn in all)."""
     regions: int

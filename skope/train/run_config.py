@@ -33,7 +33,7 @@ class RunConfig:
     licences: tuple[str, ...] = ()
     """Licences of the datasets, in their order, as their cards state them."""
     categories: tuple[str, ...] | None = None
-    """Names of what is learnt; None: all that the datasets label."""
+    """Names of the classes to train; None: all classes of the datasets."""
 
     def of(self, datasets: Sequence[Dataset], scheme: Scheme, categories: tuple[str, ...]) -> Self:
         """The configuration completed by what the datasets say.

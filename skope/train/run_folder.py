@@ -106,7 +106,7 @@ def _classes(config: RunConfig) -> str:
 
 def _road_users(config: RunConfig, count: int) -> list[str]:
     names = config.detector_categories[1:]
-    return [f"Besides, {counted(count, 'road user')} of the categories {', '.join(names)}.", ""] if names else []
+    return [f"In addition, {counted(count, 'road user')} of the categories {', '.join(names)}.", ""] if names else []
 
 
 def _terms(origin: str) -> str:
@@ -179,7 +179,7 @@ def _size(tensors: Iterable[Tensor]) -> int:
 
 
 def save_epoch(run: Path, config: RunConfig, training: TrainingState, *, keep: int) -> Path:
-    """Write the state after an epoch and its checkpoint, of which the newest `keep` stay; returns the checkpoint."""
+    """Write state and checkpoint of an epoch, delete all but the newest `keep` checkpoints, return the new one."""
     checkpoint = run / checkpoint_name(training.epochs_done)
     _save_weights(checkpoint, config, training)
     write_text(run / METRICS_LOG, "".join(json.dumps(row) + "\n" for row in training.history))

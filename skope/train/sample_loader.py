@@ -1,7 +1,7 @@
-"""Loading of training samples, in this process or in others beside it, which may be lost without losing a sample.
+"""Loading of training samples, in this process or in worker processes. No sample is lost if a worker is.
 
-Loading processes hand pictures over in shared memory, of which containers have little (64 MB): as many work as fit, and
-where some end or fall silent all the same, fewer go on with what is left.
+Workers pass images in shared memory, which is small in containers (64 MB): their number is limited to what fits. If a
+worker ends or stops responding, fewer workers continue with the remaining samples.
 """
 
 import itertools
@@ -58,23 +58,25 @@ class Loader:
         pin: bool = False,
         stopping: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Prepare to load.
+        """Create a loader.
 
         Args:
-            training_set: What to load from.
-            workers: Loading processes; 0: this one loads.
-            console: Where it is said when fewer processes work than were asked for.
-            pin: Whether batches come in pinned memory, from which a GPU can copy without waiting.
-            stopping: Whether waiting for a batch shall end, as a KeyboardInterrupt.
+            training_set: The images.
+            workers: Number of worker processes; 0: this process loads.
+            console: Receives a warning if fewer workers run than requested.
+            pin: Whether batches are in pinned memory, from which a GPU copies asynchronously.
+            stopping: Returns whether to stop waiting for a batch, with a KeyboardInterrupt.
         """
         self.workers = workers
         self._training_set, self._console, self._pin, self._stopping = training_set, console, pin, stopping
 
     def batches(self, groups: Iterable[DrawGroup], largest: int) -> Iterator[list[TrainingSample]]:
-        """The samples of each group of draws, the largest of which has so many.
+        """Yield the samples of each group of draws; `largest` is the size of the largest group.
 
-        Groups are asked for as they are wanted, so that there may be those of many epochs: processes go on from one to
-        the next. Raises UserError for a mistake in a file.
+        Groups are requested when they are needed. They can span many epochs, without a restart of the workers.
+
+        Raises:
+            UserError: A file of the dataset is wrong.
         """
         left = iter(groups)
         asked = deque(itertools.islice(left, 1))
@@ -90,7 +92,7 @@ class Loader:
                     yield [item for item in batch if isinstance(item, TrainingSample)]
             except _LostError as lost:
                 self.workers //= 2
-                rest = f"{self.workers} go on" if self.workers else "this process loads them from here"
+                rest = f"{self.workers} continue" if self.workers else "this process loads them from here"
                 self._console.warn(f"processes that load images {lost}: {rest} (--workers)")
 
     def _loaded(self, groups: Iterator[DrawGroup], prefetch: int) -> Iterator[list[TrainingSample | UserError]]:
@@ -121,7 +123,7 @@ class Loader:
                 ended, silent = "timed out" not in str(error), time.monotonic() - since > LOADER_LIMITS.silent_s
                 if not (ended or silent or self._stopping()):
                     continue
-                for process in getattr(batches, "_workers", ()):  # they ignore the signal by which torch would end them
+                for process in getattr(batches, "_workers", ()):  # they ignore the signal that torch would send
                     process.kill()
                 if not (ended or silent):
                     raise KeyboardInterrupt from None

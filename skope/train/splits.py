@@ -33,7 +33,7 @@ class TrainingSource:
     fingerprint: str
     """Digest of the annotations and of the images' names and sizes."""
     untyped: int = 0
-    """Number of vehicles whose type the dataset does not say, where some types are to be left out."""
+    """Number of vehicles without a type, if some types are excluded."""
     excluded: int = 0
     """Number of vehicles that were left out by their types."""
 
@@ -63,12 +63,12 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
 
     Args:
         root: The dataset's folder.
-        exclude_types: Vehicle types that are ignored.
-        val_fraction: Share of each recording's end that is validated on.
-        max_images: Learn from so many images with vehicles, evenly spread; None: from all.
+        exclude_types: Vehicle types to ignore.
+        val_fraction: Fraction of the training frames to hold out for validation.
+        max_images: Maximum number of images with vehicles, evenly spaced; None: all.
 
     Raises:
-        UserError: It holds nothing to learn from.
+        UserError: It has no training image.
     """
     opened = open_dataset(root)
     file = opened.read(TRAINING_SPLIT)
@@ -94,7 +94,7 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
 
 
 def common_scheme(sources: Sequence[TrainingSource]) -> Scheme:
-    """The keypoint scheme of all datasets; different ones are refused, since their points mean different things."""
+    """Return the keypoint scheme of all datasets; a UserError if they differ."""
     first, *others = sources
     for other in others:
         if other.dataset.scheme is not first.dataset.scheme:
@@ -106,10 +106,10 @@ def common_scheme(sources: Sequence[TrainingSource]) -> Scheme:
 
 
 def common_categories(sources: Sequence[TrainingSource], asked: Sequence[str] | None) -> tuple[str, ...]:
-    """The categories that are learnt: those that all datasets label, or some of them, where these are asked for.
+    """Return the categories to train: those of all datasets, or the requested ones.
 
-    Raises UserError where datasets label different ones and nothing is asked for, or something that one does not label:
-    whom a dataset shows without a label would be learnt as background.
+    Raises UserError if the datasets label different categories and none are requested, or if one does not label a
+    requested category: unlabelled road users would be trained as background.
     """
     first, *others = sources
     if asked is not None:

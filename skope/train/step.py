@@ -53,8 +53,7 @@ class StopRequest:
 
 
 def ignore_signals(_worker: int) -> None:
-    """Ignore SIGINT and SIGTERM in a loading process: whoever ends a whole group of processes ends this one through its
-    parent, not before it."""
+    """Ignore SIGINT and SIGTERM in a worker process, so that its parent ends it."""
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 

@@ -29,7 +29,7 @@ class TargetBatch:
     present: Tensor
     """(B, G) bool: which of them there are."""
     ignored: Tensor
-    """(B, M, 4) float32 xyxy of what is ignored; 0 where there is nothing."""
+    """(B, M, 4) float32 xyxy of ignored boxes; 0 for padding."""
 
     @classmethod
     def of(
@@ -41,14 +41,14 @@ class TargetBatch:
         ignore_below: float,
         device: torch.device,
     ) -> Self:
-        """Bring targets together.
+        """Collate targets.
 
         Args:
-            targets: Of each image boxes (N, 4), labels (N,), keypoints (N, K, 3), ignored_boxes (M, 4), on the CPU.
-            before: Sizes of the images that the targets are of.
-            inside: Their sizes inside the network.
-            ignore_below: What has a shorter edge than this inside the network is ignored, pixels.
-            device: Where the tensors shall be.
+            targets: Per image boxes (N, 4), labels (N,), keypoints (N, K, 3), ignored_boxes (M, 4), on the CPU.
+            before: Sizes of the images, pixels.
+            inside: Their sizes inside the network, pixels.
+            ignore_below: Minimum shorter edge of a box inside the network, pixels; smaller boxes are ignored.
+            device: Device of the result.
         """
         rows = [_resized(*each, ignore_below) for each in zip(targets, before, inside, strict=True)]
         counts = torch.tensor([len(row["labels"]) for row in rows])

@@ -24,16 +24,16 @@ class Vehicles:
     keypoints: Array
     """(N, 33, 3) x, y, v of the ground truth; x = y = 0 where v = 0."""
     ignored_xyxy: Array
-    """(M, 4) boxes of what is ignored, of all categories."""
+    """(M, 4) ignored boxes of all categories."""
     others_xyxy: Array = field(default_factory=lambda: np.zeros((0, 4)))
     """(P, 4) boxes of the other road users of the ground truth."""
     other_labels: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     """(P,) their labels in the network, from 2: label k is the k-th of the categories that are learnt."""
 
     def flipped(self, width: float) -> "Vehicles":
-        """The vehicles in the mirrored image: x becomes width - x, and right and left keypoints change places.
+        """Mirror the targets: x becomes width - x, and left and right keypoints are swapped.
 
-        Only for scheme `skope33`, whose mirror partners are known.
+        Only for scheme `skope33`, which has known mirror partners.
         """
         points = self.keypoints[:, keypoints.FLIP].copy()
         points[..., 0] = np.where(points[..., 2] > 0, width - points[..., 0], 0.0)
@@ -105,13 +105,13 @@ def vehicles_of(
     road_users: Sequence[RoadUser] = (),
     categories: Sequence[str] = VEHICLE_ALONE,
 ) -> Vehicles:
-    """Ground truth and ignored ones of an image; boxes without area inside the image are left out.
+    """Return the targets of an image, with ignored boxes. Boxes without area inside the image are omitted.
 
     Args:
         image: The image.
         annotations: Its vehicles.
         road_users: Its other road users, of `categories`.
-        categories: Names of what is learnt, in the order of the network's labels.
+        categories: Names of the classes, in the order of the network's labels.
     """
     corners, known, ignored = _in_image(image, annotations)
     points = np.array([a.keypoints for a in annotations]).reshape(-1, keypoints.K, 3)

@@ -1,7 +1,7 @@
-"""Learning from another detector's answers beside the labels (distillation; Hinton et al., 2015).
+"""Distillation: training on the outputs of another detector in addition to the labels (Hinton et al., 2015).
 
-The teacher looks at the same images, and at the regions that the student's second stage learns from: how likely each
-category is, where the box is, and where each keypoint may be are softer than labels, and say what is alike.
+The teacher processes the same images and the regions of the student's second stage. Its class probabilities, boxes and
+keypoint heat maps are softer than labels, and contain similarities between classes and positions.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from skope.train.target_batch import HeightWidth
 TEACHER_LOSSES: Final = ("loss_teacher_classes", "loss_teacher_boxes", "loss_teacher_keypoints")
 """Names of the losses that a teacher adds."""
 BOX_LOSS_BETA: Final = 1 / 9
-"""Error of a box's offset from which the loss grows linearly, for labels and teacher alike."""
+"""Error of a box offset above which the loss is linear, for labels and teacher."""
 
 
 @dataclass(frozen=True)
@@ -79,19 +79,18 @@ class TeacherOutputs:
     def of_boxes(
         self, boxes: Tensor, sizes: list[HeightWidth], logits: Tensor, deltas: Tensor, labels: Tensor, drawn: Tensor
     ) -> dict[str, Tensor]:
-        """The losses of classes and boxes.
+        """Compute the losses of classes and boxes.
 
         Args:
             boxes: (B, S, 4) regions of B images, pixels inside the network.
-            sizes: Of the images inside the network.
-            logits: (B S, C) the student's, of the background and categories.
-            deltas: (B S, 4 C) the student's offsets.
-            labels: (B, S) whose the regions are; the offsets of vehicles and other road users are learnt.
-            drawn: (B, S) bool which of them are learnt from.
+            sizes: Sizes of the images inside the network.
+            logits: (B S, C) logits of the student, for background and categories.
+            deltas: (B S, 4 C) offsets of the student.
+            labels: (B, S) labels of the regions; offsets are trained for vehicles and other road users.
+            drawn: (B, S) bool, whether a region is sampled.
 
         Returns:
-            Means over what is drawn, times their weights: the divergence of the categories' probabilities, and the
-            errors of the offsets.
+            Weighted means over the sampled regions: divergence of the class probabilities, and error of the offsets.
         """
         if not self.rules.of_boxes:
             return dict.fromkeys(("loss_teacher_classes", "loss_teacher_boxes"), logits.new_zeros(()))

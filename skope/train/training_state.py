@@ -1,7 +1,7 @@
-"""State of a training, and resuming from it: weights, optimiser, position in the epoch, history, best figure.
+"""State of a training run and resuming from it: weights, optimiser, position in the epoch, history, best figure.
 
-`resume.pt` alone decides where a run goes on, and is replaced in one step: killed at any moment, a run goes on from it
-and writes again what came after. The state of every random generator follows from seed, epoch and step.
+A run resumes from `resume.pt` alone, which is replaced atomically. A run that is killed at any moment resumes from it
+and rewrites later files. The state of each random generator follows from seed, epoch and step.
 """
 
 import io
@@ -42,15 +42,15 @@ class TrainingState:
     steps_done: int
     """Steps done of the epoch that is under way."""
     sums: dict[str, float]
-    """Losses so far of the epoch that is under way."""
+    """Sums of the losses in the current epoch."""
     history: list[dict[str, Any]]
-    """Mean losses and validation of the epochs so far."""
+    """Mean losses and validation of the completed epochs."""
     best: list[float] | None
     """The figures that decide which epoch is best."""
     mean: AveragedModel | None = None
     """The running mean of the model over the steps, where the recipe asks for one."""
     teacher: Teacher | None = None
-    """The detector that it learns from, which is no part of what is saved."""
+    """Detector for distillation; it is not saved."""
 
     @property
     def shown(self) -> KeypointRCNN:
@@ -86,10 +86,10 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
         UserError: The folder holds a run, or other files.
     """
     if resumable(run):
-        raise UserError(f"{run}: holds a run already; go on with it by --resume, or choose another folder by --out")
+        raise UserError(f"{run}: already holds a run; resume it with --resume, or choose another folder with --out")
     if checkpoints(run):
         raise UserError(
-            f"{run}: holds checkpoints, and no state to go on from ({STATE_FILE} is missing); choose another folder by "
+            f"{run}: holds checkpoints but no state to resume from ({STATE_FILE} is missing); choose another folder by "
             "--out"
         )
     # Where several processes train together, the first one may already have written the configuration.

@@ -30,15 +30,15 @@ def detect_in_image(
     score: float,
     categories: tuple[str, ...] = VEHICLE_ALONE,
 ) -> tuple[list[Result], list[RoadUserResult]]:
-    """Detect in one image; of what is found the vehicles go through the keypoint head.
+    """Detect road users in one image; vehicles go through the keypoint head.
 
     Args:
         model: The model.
         pixels: (H, W, 3) RGB.
-        image_id: The image's id, for the results.
-        device: Where the model is.
-        score: Detections above this are kept.
-        categories: What the network's labels are.
+        image_id: Id of the image, for the results.
+        device: Device of the model.
+        score: Score threshold.
+        categories: Names of the network's labels.
     """
     (found,) = detect(model, [pixels], device, min_score=score, categories=categories)
     return found.to_results(image_id), found.road_users.to_results(image_id)
@@ -74,7 +74,7 @@ def run_model(
     """Run a model on images.
 
     Args:
-        model: The model, whose categories are those of `file`.
+        model: The model. It has the categories of `file`.
         file: The ground truth.
         paths: Files of its images.
         device: Where the model is.
@@ -122,7 +122,7 @@ def figures(file: AnnotationFile, found: ValidationResults) -> Figures:
 
 
 def rank(figures: Figures) -> list[float]:
-    """Sort key by which the best epoch is chosen: keypoint recall, then PCK inside the ground-truth boxes.
+    """Return the sort key of the best epoch: keypoint recall, then PCK inside the ground-truth boxes.
 
     Other road users than vehicles do not count.
     """

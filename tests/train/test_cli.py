@@ -90,7 +90,7 @@ def test_trains_and_says_what_is_next(tmp_path: Path, monkeypatch: pytest.Monkey
     ):
         monkeypatch.setattr(configure, "new", lambda *_, other=other, **__: other)
         refused = str(CliRunner().invoke(cli.app, ["--device", "cpu", "--quiet"]).exception)
-        assert refused.startswith(f"runs/skope: holds another run: {words}. --resume goes on with it")
+        assert refused.startswith(f"runs/skope: holds another run: {words}. --resume continues it")
     done = CliRunner().invoke(cli.app, ["--device", "cpu", "--quiet", "--resume"])
     assert done.stdout.splitlines() == [last]
     other = CliRunner().invoke(cli.app, ["--device", "cpu", "--resume", "--batch-size", "2"])

@@ -221,7 +221,7 @@ def test_a_folder_with_a_run_is_not_overwritten(tmp_path: Path) -> None:
     data = samples.make_dataset(tmp_path / "data", images=1, splits=("train",))
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "epoch_001.safetensors").touch()
-    with pytest.raises(UserError, match=r"holds checkpoints, and no state to go on from .* --out"):
+    with pytest.raises(UserError, match=r"holds checkpoints but no state to resume from .* --out"):
         train(data, tmp_path / "run", TINY)
     with pytest.raises(UserError, match="nothing saved yet to resume from"):
         train(data, tmp_path / "run", TINY, resume=True)

@@ -31,7 +31,7 @@ def convert(model: KeypointRCNN) -> None:
 
 
 class _InBfloat16(nn.Module):
-    """A module whose products are taken in bfloat16, from and to float32."""
+    """A module that computes its products in bfloat16; input and output are float32."""
 
     def __init__(self, inner: nn.Module) -> None:
         super().__init__()
@@ -56,14 +56,14 @@ class _Pyramid(PyramidWithProposals):
             features = self.fpn(self.body(images))
             scores, offsets = self.head(list(features.values()))
         self.proposals = ([one.float() for one in scores], [one.float() for one in offsets])
-        # Pooling takes maps whose channels lie apart: put in order here, they are not for each pooling anew.
+        # Pooling needs maps with channels first; converting here avoids a conversion per pooling.
         return OrderedDict(
             (name, one.to(torch.float32, memory_format=torch.contiguous_format)) for name, one in features.items()
         )
 
 
 def _body(body: Any) -> nn.Module:
-    """A backbone's layers, whose norms have been multiplied in, with fused convolutions where it is a ResNet."""
+    """Layers of a backbone with folded norms; convolutions are fused if it is a ResNet."""
     return _ResNet(body) if "layer1" in body else _InTheirOrder(body)
 
 
@@ -96,7 +96,7 @@ class _ResNet(nn.Module):
 
 
 class _Block(nn.Module):
-    """A block of two or three convolutions, to whose answer its input is added."""
+    """A residual block of two or three convolutions."""
 
     def __init__(self, block: BasicBlock | Bottleneck) -> None:
         super().__init__()

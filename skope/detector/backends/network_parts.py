@@ -265,6 +265,6 @@ class _Upsampled(nn.Module):
 
 
 def _computed(run: RunNetwork, x: Tensor) -> list[Tensor]:
-    if not len(x):  # runtimes refuse what is empty: one input tells the outputs' shapes
+    if not len(x):  # runtimes reject empty inputs: one input gives the shapes of the outputs
         return [out[:0] for out in _computed(run, x.new_zeros(1, *x.shape[1:]))]
     return [torch.from_numpy(array) for array in run(x.contiguous().numpy())]

@@ -142,17 +142,17 @@ def prepare(
     one_size: bool = True,
     console: Console,
 ) -> str:
-    """Let a backend compute a model's costly parts from now on.
+    """Replace the costly parts of a model by a backend.
 
     Args:
         model: On `device`, in evaluation mode; changed in place.
-        metadata: Of its checkpoint.
-        device: Where the rest is computed.
-        backend: `auto`, `torch`, or a key of `RUNTIME_CLASSES`. `auto` is OpenVINO on a CPU where it is installed.
+        metadata: Metadata of its checkpoint.
+        device: Device of the other parts.
+        backend: `auto`, `torch`, or a key of `RUNTIME_CLASSES`. `auto` is OpenVINO on a CPU if it is installed.
         precision: Number format of the products: `float32`, `bfloat16`, `int8`, or `auto`, the fastest that backend,
             processor and checkpoint have.
-        one_size: Whether images have one size, or few, for each of which a runtime may prepare.
-        console: Says when `auto` finds a runtime that is broken.
+        one_size: Whether all images have one of a few sizes, which a runtime can prepare for.
+        console: Receives a warning if `auto` finds a broken runtime.
 
     Returns:
         Backend and number format in words.

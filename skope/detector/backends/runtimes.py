@@ -20,8 +20,8 @@ from skope.errors import UserError
 from skope.types import Floats32
 
 _COMPILED_SIZES: Final = 4
-"""Sizes of images whose graphs are kept: 1280x720 takes `road33` 1.5 s and 0.3 GB, `road33-lite` half a second and a
-third of that."""
+"""Number of image sizes with cached graphs. A graph for 1280x720 takes `road33` 1.5 s and 0.3 GB, `road33-lite` 0.5 s
+and 0.1 GB."""
 
 
 class UnusableError(UserError):
@@ -94,7 +94,7 @@ class Runtime(ABC):
 
 @lru_cache
 def _openvino_core(library: ModuleType) -> Any:
-    """The one core of this process, which is kept until it exits.
+    """Return the core of this process, which is kept until the process exits.
 
     Each core of OpenVINO installs an alternative signal stack and puts the previous one back when it is deleted. Two
     cores that are deleted in another order leave a stack whose memory is gone, and the next signal, Ctrl-C for example,
