@@ -1,4 +1,4 @@
-"""A camera from marks: points whose places are known, lengths, parallels, and what a site file says besides."""
+"""Camera calibration from marks: points with known coordinates, lengths, parallels, and values of a site file."""
 
 import math
 from pathlib import Path

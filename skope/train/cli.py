@@ -31,39 +31,35 @@ def run(
         list[Path] | None,
         data_option(
             metavar=DIR_METAVAR,
-            help="Dataset folder; several, repeated, train together.",
+            help="Dataset folder; repeat it to train on several.",
             show_default=str(DATA_FOLDER),
         ),
     ] = None,
     mix: Annotated[
         float | None,
-        data_option(
-            help="Share of an epoch's images that the first --data gives.", show_default="all images of all, once"
-        ),
+        data_option(help="Fraction of an epoch's images from the first --data.", show_default="all images once"),
     ] = None,
-    max_images: Annotated[
-        int | None, data_option(help="Train on this many images with vehicles of each dataset only.")
-    ] = None,
+    max_images: Annotated[int | None, data_option(help="Maximum number of images with vehicles per dataset.")] = None,
     exclude_types: Annotated[
-        str | None, data_option(metavar=LIST_METAVAR, help="Vehicle types to ignore, as in pickup,bus.")
+        str | None, data_option(metavar=LIST_METAVAR, help="Vehicle types to ignore, for example pickup,bus.")
     ] = None,
     categories: Annotated[
         str | None,
         data_option(
             metavar=LIST_METAVAR,
-            help="What to learn, as in vehicle,pedestrian; the others are background.",
-            show_default="all that the data labels",
+            help="Classes to train, for example vehicle,pedestrian; others are background.",
+            show_default="all classes of the data",
         ),
     ] = None,
     val_fraction: Annotated[
         float | None,
-        data_option(help="Share of each recording's end to validate on.", show_default=RECIPE_DEFAULT),
+        data_option(help="Fraction of the training frames to hold out for validation.", show_default=RECIPE_DEFAULT),
     ] = None,
     recipe: Annotated[
         str | None,
         training(
             metavar="[auto|paper|laptop|scratch|FILE]",
-            help="How to train; FILE: TOML; auto: paper on a GPU, laptop on a CPU.",
+            help="Training recipe: a name or a TOML file. auto: paper on a GPU, laptop on a CPU.",
             show_default="auto",
         ),
     ] = None,
@@ -72,17 +68,17 @@ def run(
         training(
             "--set",
             metavar="NAME=VALUE",
-            help="Any value of the recipe, as in --set weight_decay=1e-4 --set augment.blur=0.2.",
+            help="Value of the recipe, for example --set weight_decay=1e-4 --set augment.blur=0.2.",
         ),
     ] = None,
-    epochs: Annotated[int | None, training(help="Passes over the images.", show_default=RECIPE_DEFAULT)] = None,
+    epochs: Annotated[int | None, training(help="Number of epochs.", show_default=RECIPE_DEFAULT)] = None,
     init: Annotated[
         str | None,
         training(
             metavar="[auto|coco|imagenet|random|FILE]",
-            help="First weights. coco and imagenet are downloaded when missing, FILE may be a run folder; auto: COCO "
-            "weights if torchvision's cache has them, else the detector that comes with skope; for another network "
-            "than theirs a backbone trained on ImageNet if cached, else random.",
+            help="Initial weights. coco, imagenet: downloaded if missing. FILE: a checkpoint or run folder. auto: COCO "
+            "weights if torchvision's cache has them, else the shipped detector; for another network a cached "
+            "ImageNet backbone, else random weights.",
             show_default=RECIPE_DEFAULT,
         ),
     ] = None,
@@ -90,36 +86,38 @@ def run(
         str | None,
         training(
             choices=("resnet50", "resnet18", "mobilenet_v3_large"),
-            help="What makes the feature maps; the widths that suit it are values of the recipe, as in --set "
-            "network.pyramid_width=64.",
-            show_default="the recipe's or the first weights'",
+            help="Backbone network. Its widths are values of the recipe, for example --set network.pyramid_width=64.",
+            show_default="from the recipe or the initial weights",
         ),
     ] = None,
-    batch_size: Annotated[int | None, training(help="Images a step.", show_default=RECIPE_DEFAULT)] = None,
+    batch_size: Annotated[int | None, training(help="Images per step.", show_default=RECIPE_DEFAULT)] = None,
     min_size: Annotated[
         int | None,
         training(
-            help="Short side of the image in the network, pixels.", show_default="the recipe's or the first weights'"
+            help="Short side of the image in the network, pixels.",
+            show_default="from the recipe or the initial weights",
         ),
     ] = None,
     supervise: Annotated[
         str | None,
         training(
-            choices=("visible", "all"), help="Keypoints to learn; all: hidden ones too.", show_default=RECIPE_DEFAULT
+            choices=("visible", "all"),
+            help="Keypoints to train on. all: also hidden ones.",
+            show_default=RECIPE_DEFAULT,
         ),
     ] = None,
-    seed: Annotated[int | None, training(help="Seed of weights, order, changes and samples.", show_default="0")] = None,
+    seed: Annotated[
+        int | None, training(help="Seed of weights, image order, augmentation and sampling.", show_default="0")
+    ] = None,
     out: Annotated[Path, output(metavar=DIR_METAVAR, help="Run folder for checkpoints.")] = RUN_FOLDER,
     resume: Annotated[
         bool,
-        output(
-            "--resume", help="Go on with the run in --out without saying its options again; with --epochs for longer."
-        ),
+        output("--resume", help="Resume the run in --out with its saved options. Add --epochs to extend it."),
     ] = False,
-    keep: Annotated[int, output(help="Checkpoints of epochs to keep, beside the best one.")] = 1,
+    keep: Annotated[int, output(help="Number of epoch checkpoints to keep, in addition to the best one.")] = 1,
     save_minutes: Annotated[float, output(help="Minutes between saves of the training state within an epoch.")] = 10,
-    device: Annotated[str, machine(metavar="[auto|cpu|cuda|cuda:N]", help="Where to compute.")] = "auto",
-    workers: Annotated[int | None, machine(help="Processes that load images; changes no result.")] = None,
+    device: Annotated[str, machine(metavar="[auto|cpu|cuda|cuda:N]", help="Device.")] = "auto",
+    workers: Annotated[int | None, machine(help="Number of loading processes. It does not change the result.")] = None,
 ) -> None:
     """Train on split `train` of a dataset folder, with a checkpoint after each epoch (one a minute at most).
 
@@ -180,7 +178,7 @@ def export(
     checkpoint: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder, or a checkpoint file.")] = RUN_FOLDER,
     to: Annotated[
         str,
-        option(choices=("torchscript", "onnx", "compact", "state_dict"), help="Form; onnx needs the extra `onnx`."),
+        option(choices=("torchscript", "onnx", "compact", "state_dict"), help="Format; onnx needs the extra `onnx`."),
     ] = "torchscript",
     out: Annotated[
         Path | None, option(metavar=FILE_METAVAR, help="File to write.", show_default="beside the checkpoint")
@@ -188,7 +186,8 @@ def export(
     data: Annotated[
         Path | None,
         option(
-            metavar=DIR_METAVAR, help="Round compact weights so that on this dataset the layers' outputs change least."
+            metavar=DIR_METAVAR,
+            help="Dataset for rounding compact weights with the smallest change of the layer outputs.",
         ),
     ] = None,
 ) -> None:

@@ -32,7 +32,7 @@ READ_FORMATS = ("coco", "cvat", "skope3d")
 
 
 def convert(
-    paths: Annotated[list[Path], typer.Argument(metavar="PATH", help="What to read, and last the new folder.")],
+    paths: Annotated[list[Path], typer.Argument(metavar="PATH", help="Sources, and last the new folder.")],
     console: Console,
     to: Annotated[str | None, option(choices=WRITTEN_FORMATS, help="Format to write.", show_default="folder")] = None,
     source: Annotated[
@@ -40,31 +40,34 @@ def convert(
     ] = None,
     map_file: Annotated[
         Path | None,
-        option("--map", metavar=FILE_METAVAR, help="JSON: what the keypoints of --from skope3d are in scheme skope33."),
+        option(
+            "--map", metavar=FILE_METAVAR, help="JSON file that maps the keypoints of --from skope3d to scheme skope33."
+        ),
     ] = None,
     images: Annotated[
         Path | None,
         option(
             metavar=DIR_METAVAR,
-            help="Where the images of --from coco or cvat lie.",
+            help="Folder of the images of --from coco or cvat.",
             show_default="beside the annotations",
         ),
     ] = None,
     keypoints: Annotated[
         str | None, option(metavar=LIST_METAVAR, help="Names of the keypoints of --to yolo.", show_default="all")
     ] = None,
-    split: Annotated[str | None, option(metavar="NAME", help="Split for all that is read.")] = None,
+    split: Annotated[str | None, option(metavar="NAME", help="Split of all images.")] = None,
     stored_pixels: Annotated[
-        bool, option("--stored-pixels", help="Labels of --from coco or cvat are of pixels as stored, before EXIF.")
+        bool,
+        option("--stored-pixels", help="Labels of --from coco or cvat are in stored pixels, before EXIF rotation."),
     ] = False,
 ) -> None:
-    """Write a dataset in another format, or make one of files of another format (see docs/formats.md)."""
+    """Convert a dataset to another format, or files of another format to a dataset (docs/formats.md)."""
     from skope.gen.formats.convert import ConversionOptions
     from skope.gen.formats.convert import convert_dataset as write
 
     *sources, out = paths
     if not sources:
-        raise UserError(f"{out}: name what to read and then the new folder")
+        raise UserError(f"{out}: expected a source and the new folder")
     options = ConversionOptions(
         map=map_file,
         images=images,
@@ -80,10 +83,10 @@ def merge(
     paths: Annotated[list[Path], typer.Argument(metavar="PATH", help="Datasets, and last the new folder.")],
     console: Console,
     vehicles_alone: Annotated[
-        bool, option("--vehicles-alone", help="Leave out labels of people on foot and on two wheels.")
+        bool, option("--vehicles-alone", help="Omit labels of people on foot and on two wheels.")
     ] = False,
 ) -> None:
-    """Join datasets: ids numbered anew, sites kept apart, splits as they are, licences united."""
+    """Merge datasets. Ids are renumbered; sites, splits and licences are kept."""
     from skope.gen.formats.merge import merge as join
 
     *sources, out = paths
@@ -116,10 +119,10 @@ def gen(
     console: Console,
     out: OutOption = DATA_FOLDER,
     dry_run: Annotated[
-        bool, machine("--dry-run", help="Only say how many images, how much disk and how long; write nothing.")
+        bool, machine("--dry-run", help="Print the number of images, disk space and run time; write nothing.")
     ] = False,
 ) -> None:
-    """Drive SUMO traffic through a pybullet world past roadside cameras; write images, depth and labels."""
+    """Generate a dataset: simulate traffic past roadside cameras; write images, depth and labels."""
     from skope.gen.pipeline.dataset_store import Store
     from skope.gen.pipeline.estimate import estimate
     from skope.gen.pipeline.generate import generate_dataset
@@ -140,7 +143,7 @@ def gen(
 
 @app.command()
 def simulate(dataset: DatasetOptions, workers: WorkerOptions, console: Console, out: OutOption = DATA_FOLDER) -> None:
-    """Make the recordings only; `skope gen render` draws them, here or on a machine without SUMO and pybullet."""
+    """Simulate the recordings only. `skope gen render` draws them, also on a machine without SUMO and pybullet."""
     from skope.gen.pipeline.generate import simulate_dataset
 
     request, _ = dataset.request()
@@ -155,11 +158,11 @@ def render(
     workers: WorkerOptions,
     console: Console,
     dataset: Annotated[
-        Path, typer.Argument(metavar="DATASET", help="Folder that `skope gen simulate` made.")
+        Path, typer.Argument(metavar="DATASET", help="Output folder of `skope gen simulate`.")
     ] = DATA_FOLDER,
     renderer: RendererOption = "auto",
 ) -> None:
-    """Draw and annotate the recordings of a folder."""
+    """Render and annotate the recordings of a folder."""
     from skope.gen.pipeline.generate import render_dataset
 
     start_pool, _ = workers.pool_factory()
@@ -197,7 +200,7 @@ def doctor(
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Say what is installed, what of it works, and what to do about the rest; exit code 1 when something does not."""
+    """Check the installation and suggest fixes. Exit code 1 if a check fails."""
     from skope.gen.inspect.doctor import examine
 
     found = []

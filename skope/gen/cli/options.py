@@ -26,7 +26,7 @@ WEATHER_CHOICES: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "
 HOUR_CHOICES: Final = ("noon", "low_sun", "dawn", "dusk", "night")
 
 RendererOption = Annotated[
-    str, machine(choices=("auto", "gl", "pybullet"), help="What draws the images; auto: gl where OpenGL can be had.")
+    str, machine(choices=("auto", "gl", "pybullet"), help="Renderer. auto: gl if OpenGL is available, else pybullet.")
 ]
 
 
@@ -38,62 +38,65 @@ class DatasetOptions:
         str,
         traffic(
             choices=("demo", "paper", "extra", "full", "varied", "world", "nights", "conditions"),
-            help="Which dataset to make. demo: small; paper: as SKoPe3D; full: all sites; extra: sites for tests; "
+            help="Kind of dataset. demo: small; paper: as SKoPe3D; full: all sites; extra: sites for tests; "
             "varied: other cameras; world: other roads; nights: wide roads in the dark; conditions: splits by weather "
             "(docs/generating.md).",
         ),
     ] = "demo"
-    seed: Annotated[int, traffic(help="Same seed, same dataset.", max=2**63 - 1)] = 0
+    seed: Annotated[int, traffic(help="Seed; the same seed gives the same dataset.", max=2**63 - 1)] = 0
     sites: Annotated[
-        str | None, traffic(metavar=LIST_METAVAR, help="Sites of `skope gen sites` instead of the preset's.")
+        str | None,
+        traffic(metavar=LIST_METAVAR, help="Camera sites instead of those of the preset (see `skope gen sites`)."),
     ] = None
     site: Annotated[
         str | None,
-        traffic(metavar=SITE_METAVAR, help="One site instead of --sites; or a site file, your own road and camera."),
+        traffic(
+            metavar=SITE_METAVAR, help="One site instead of --sites, or a site file with your own road and camera."
+        ),
     ] = None
-    frames: Annotated[int | None, traffic(help="Frames per site.", show_default="the preset's")] = None
+    frames: Annotated[int | None, traffic(help="Number of frames per site.", show_default="the preset's")] = None
     recordings: Annotated[
         int | None,
         traffic(
-            help="Recordings that a site's frames are shared out to, each with its own weather, hour and traffic.",
+            help="Number of recordings per site. The frames are divided among them; each has its own weather, hour "
+            "and traffic.",
             show_default="the preset's",
         ),
     ] = None
     interval: Annotated[
-        float | None, traffic(help="Seconds from one frame of a recording to the next.", show_default="the preset's")
+        float | None, traffic(help="Time between the frames of a recording, seconds.", show_default="the preset's")
     ] = None
     vehicles: Annotated[
         str | None,
         traffic(
             metavar=LIST_METAVAR,
-            help="Models of `skope gen vehicles list` that drive by too: added ones, with --share also the fleet's.",
+            help="Vehicle models to add to the traffic (see `skope gen vehicles list`). Models of the fleet need "
+            "--share.",
         ),
     ] = None
     share: Annotated[
         float | None,
         traffic(
-            help="Share of all traffic, 0 to 1, that the --vehicles make together.",
-            show_default="each a tenth of the fleet's",
+            help="Combined share of the --vehicles in the traffic, 0 to 1.",
+            show_default="one vehicle of each model per ten of the fleet",
         ),
     ] = None
     views: Annotated[
         int | None,
         variation(
-            help="Further cameras for each site, at other corners of its town, that see the same traffic.",
+            help="Number of additional cameras per site, elsewhere in its town, that see the same traffic.",
             show_default="the preset's",
         ),
     ] = None
     town_jitter: Annotated[
         bool | None,
-        variation(help="Houses, trees and signs along the roads anew for each recording.", show_default="the preset's"),
+        variation(help="Draw new houses, trees and signs for each recording.", show_default="the preset's"),
     ] = None
     shape_jitter: Annotated[
         bool | None,
-        variation(
-            help="Give every vehicle a shape of its own, within what its type allows.", show_default="the preset's"
-        ),
+        variation(help="Vary the shape of each vehicle within the limits of its type.", show_default="the preset's"),
     ] = None
-    camera_jitter: Annotated[bool, variation(help="Hang and turn each recording's camera a little differently.")] = (
+    camera_jitter: Annotated[bool, variation(help="Vary position and orientation of the camera in each recording.")] = (
         False
     )
     weather: Annotated[
@@ -101,7 +104,7 @@ class DatasetOptions:
         camera(
             choices=WEATHER_CHOICES,
             several=True,
-            help="Draw each recording's weather from these.",
+            help="Weather of the recordings, drawn from this list.",
             show_default="the sites' and preset's",
         ),
     ] = None
@@ -110,7 +113,7 @@ class DatasetOptions:
         camera(
             choices=HOUR_CHOICES,
             several=True,
-            help="Draw each recording's hour from these.",
+            help="Time of day of the recordings, drawn from this list.",
             show_default="the sites' and preset's",
         ),
     ] = None
@@ -124,45 +127,50 @@ class DatasetOptions:
         camera(
             "--set",
             metavar="NAME=VALUE",
-            help="A condition of light, air, lens or sensor, as noise=2, or exposure_ev=-1..1 to draw it from a range; "
-            "repeatable (docs/rendering.md lists them).",
+            help="Condition of light, air, lens or sensor: a value (noise=2) or a range to draw from "
+            "(exposure_ev=-1..1). Repeatable; docs/rendering.md lists the names.",
         ),
     ] = None
     localizer: Annotated[
         str,
         labels(
             choices=("rigid", "trilateration"),
-            help="How keypoints are found: rigid: moved with the body; trilateration: from distances, as in the paper.",
+            help="Method of keypoint positions. rigid: moved with the body. trilateration: from distances, as in the "
+            "paper.",
         ),
     ] = "rigid"
     occlusion_rule: Annotated[
         str,
         labels(
             choices=("others", "paper"),
-            help="When a vehicle is hidden. others: something else covers it; it stays, ignored. paper: half of it is "
-            "covered; it is left out.",
+            help="Definition of a hidden vehicle. others: another object covers more than half of its keypoints; it is "
+            "marked as ignored. paper: more than half of its keypoints are covered; it is omitted.",
         ),
     ] = "others"
     road_users: Annotated[
         bool | None,
-        labels(help="Label people on foot and on two wheels too, and draw more of them.", show_default="the preset's"),
+        labels(
+            help="Also label people on foot and on two wheels, and generate more of them.", show_default="the preset's"
+        ),
     ] = None
-    min_visible: Annotated[float, labels(help="Ignore vehicles of which a smaller share is seen.")] = 0.15
-    min_box: Annotated[float, labels(help="Ignore boxes whose shorter edge is under this, pixels.")] = 12.0
+    min_visible: Annotated[
+        float, labels(help="Minimum visible fraction of a vehicle, 0 to 1; a vehicle below it is marked as ignored.")
+    ] = 0.15
+    min_box: Annotated[
+        float, labels(help="Minimum shorter edge of a box, pixels; a smaller box is marked as ignored.")
+    ] = 12.0
     image_format: Annotated[str, output(choices=("jpeg", "png", "webp"), help="Format of the images.")] = "jpeg"
     quality: Annotated[int, output(help="Quality of JPEG and WebP files, 1 to 100.")] = 95
     depth: Annotated[bool, output(help="Write a depth file beside each image, metres.")] = True
     format: Annotated[
         str,
-        output(choices=("folder", "shards"), help="shards: tar files, for hundreds of thousands of images."),
+        output(choices=("folder", "shards"), help="Storage. shards: tar files, for hundreds of thousands of images."),
     ] = "folder"
-    licence: Annotated[
-        str, output(metavar="NAME", help="What others may use the images under; stated in the card.")
-    ] = "CC BY 4.0"
+    licence: Annotated[str, output(metavar="NAME", help="Licence of the images, stated in the card.")] = "CC BY 4.0"
     renderer: RendererOption = "auto"
 
     def request(self) -> "tuple[DatasetRequest, str]":
-        """The request that the options make, and what to say of the renderer."""
+        """Return the dataset request of the options, and a message about the renderer."""
         from skope.gen.generation_site import own_site
         from skope.gen.labels.ignore_rules import Rules
         from skope.gen.output.frames import Encoding
@@ -172,10 +180,10 @@ class DatasetOptions:
         from skope.gen.scene.conditions import parse_settings
 
         if self.site is not None and self.sites is not None:
-            raise UserError(f"--site: {self.site} is the site already: leave --sites out")
+            raise UserError(f"--site: {self.site} already names the site; omit --sites")
         own = own_site("--site", self.site) if self.site is not None else None
         if own and self.fov is not None:
-            raise UserError(f"--site: {own.path} says where the camera is and what it sees: leave --fov out")
+            raise UserError(f"--site: {own.path} has a camera of its own; omit --fov")
         sites = self.sites if own or self.site is None else self.site
         chosen, driver, why = choose_renderer(self.renderer)
         wanted = from_preset(
@@ -214,7 +222,7 @@ class DatasetOptions:
 
 
 def _models(text: str | None) -> list[str]:
-    """The names that `--vehicles` gives; none without the flag."""
+    """Return the names in `--vehicles`; empty without the option."""
     names = text.split(",") if text is not None else []
     if not all(names) or len(set(names)) < len(names):
         raise UserError("--vehicles: expected one or more different models, separated by commas")
@@ -222,7 +230,7 @@ def _models(text: str | None) -> list[str]:
 
 
 def _digest(model: str) -> str:
-    """A mark that tells a model of the user from another one of its name; nothing for a model of the fleet."""
+    """Return the digest of a user model; empty for a model of the fleet."""
     from skope.gen.vehicles.fleet import fleet
     from skope.gen.vehicles.user_models import load_model
 
@@ -231,23 +239,23 @@ def _digest(model: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class WorkerOptions:
-    """Options on who does the work: processes of this machine, or those of a Ray cluster."""
+    """Options of the workers: processes of this machine or of a Ray cluster."""
 
-    workers: Annotated[int | None, machine(help="Worker processes.", show_default="one per core")] = None
+    workers: Annotated[int | None, machine(help="Number of worker processes.", show_default="one per core")] = None
     engine: Annotated[
         str,
         machine(
             choices=("local", "ray"),
-            help="local: processes of this machine; ray: those of a Ray cluster (pip install skope[ray]).",
+            help="Workers. local: processes of this machine. ray: a Ray cluster (pip install skope[ray]).",
         ),
     ] = "local"
     address: Annotated[
         str | None,
-        machine(help="Address of the Ray cluster.", show_default="one that this machine belongs to, or a new one here"),
+        machine(help="Address of the Ray cluster.", show_default="the cluster of this machine, else a new one"),
     ] = None
 
     def count(self) -> int | None:
-        """Number of worker processes on this machine; None for those of a cluster."""
+        """Return the number of worker processes on this machine; None for a cluster."""
         from skope.gen.pipeline.workers import check_workers
 
         if self.engine == "ray":
@@ -255,7 +263,7 @@ class WorkerOptions:
         return check_workers(self.workers) if self.workers is not None else usable_processors()
 
     def pool_factory(self) -> tuple[Callable[[], "AbstractContextManager[WorkerPool]"], str]:
-        """A function that starts the worker processes, and what they are in words."""
+        """Return a function that starts the worker processes, and a description of them."""
         from skope.gen.pipeline.workers import check_workers, local_pool
 
         count = check_workers(self.workers) if self.workers is not None else None
@@ -264,6 +272,6 @@ class WorkerOptions:
 
             return partial(ray_pool, count, self.address), f"{count or 'all'} workers of Ray"
         if self.address is not None:
-            raise UserError("--address: is for --engine ray")
+            raise UserError("--address: needs --engine ray")
         count = count or usable_processors()
         return partial(local_pool, count), counted(count, "worker")

@@ -305,7 +305,7 @@ def test_out_must_be_empty_and_flags_must_fit(skope: Any) -> None:
         (("ours", "new", "--from", "coco", "--to", "shards"), "--to shards: only for datasets made by `skope gen`"),
         (("ours", "new", "--to", "yolo", "--images", "ours"), "--images is for --from coco, --from cvat"),
         (("ours", "new", "--from", "skope3d", "--split", "../train"), "--split: expected letters, digits"),
-        (("new", "--to", "skope3d"), "new: name what to read and then the new folder"),
+        (("new", "--to", "skope3d"), "new: expected a source and the new folder"),
         (("ours", "new", "--to", "skope3d", "--split", "easy"), "--split is for --from"),
     ):
         code, out, err = skope("gen", "convert", *arguments, "-q")
