@@ -70,7 +70,7 @@ def cached_from_parts(
     path = _place(kind, digest)
     places = [_place(f"{kind}-part", f"{digest}_{k}") for k in range(len(parts))]
     done: dict[int, Arrays] = {}
-    # First what nobody else is making; then what others were making, who may have been killed at it.
+    # First entries without a lock, then those of other processes, which may have been killed.
     for patient in (False, True):
         for k in sorted(set(range(len(parts))) - done.keys()):
             with _alone(places[k], patient=patient) as alone:

@@ -65,7 +65,7 @@ class OwnSite:
     digests: Mapping[str, str]
     """Digests of the site file ("site") and of the files that it names, by their keys."""
     said: tuple[str, ...]
-    """Lines that the user should be told, on what was read."""
+    """Messages for the user about the site file."""
 
     @property
     def road(self) -> OwnRoad:
@@ -318,7 +318,7 @@ def _checked_graph(table: TomlTable, road: OwnRoad) -> RoadGraph:
         raise table.wrong("style", str(error)) from None
     try:
         graph = RoadGraph.of(Town.of(road))
-    except Exception as error:  # whatever parsers say of a file that is no network
+    except Exception as error:  # parsers raise many exception types for files that are no network
         raise table.wrong("network", f"not a SUMO network: {error}") from None
     if not graph.edges:
         x, y, _ = camera.position

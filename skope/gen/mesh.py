@@ -106,12 +106,12 @@ def numbered_rows(rows: Array, decimals: int) -> tuple[NDArray[np.int64], NDArra
 
 
 def simplified(mesh: Mesh, share: float) -> Mesh:
-    """About a `share` of the triangles, for pictures of what is far away; what was closed stays closed.
+    """Return a mesh with about a `share` of the triangles, for distant objects. Closed meshes stay closed.
 
-    Meshes of fewer than `FEW_TRIANGLES` triangles stay as they are.
+    Meshes with fewer than `FEW_TRIANGLES` triangles are returned unchanged.
 
-    Quadric error decimation (Garland and Heckbert 1997). A fin stands on every edge where materials meet or the surface
-    ends, so that these edges hold against being moved; each triangle that is left keeps its material and normals.
+    Quadric error decimation (Garland and Heckbert, 1997). Edges where materials meet or the surface ends have extra
+    perpendicular planes, so that they stay in place. The remaining triangles keep material and normals.
     """
     if len(mesh.triangles) < FEW_TRIANGLES:
         return mesh
@@ -216,9 +216,9 @@ def flat(polygons: Iterable[ArrayLike], material: str) -> Mesh:
 
 
 def quads(corners: ArrayLike, material: str) -> Mesh:
-    """Planar quadrilaterals (N, 4, 3), counter-clockwise from outside, with hard edges between them.
+    """Return a mesh of planar quadrilaterals (N, 4, 3), counter-clockwise from outside, with hard edges.
 
-    One whose last two corners are the same is a triangle.
+    A quadrilateral with equal last two corners is a triangle.
     """
     c = np.asarray(corners, dtype=np.float64).reshape(-1, 4, 3)
     normals = cross(c[:, 2] - c[:, 0], c[:, 3] - c[:, 1])

@@ -107,7 +107,7 @@ for command in (
     app.command()(command)
 
 LONG_RECORDING: Final = 150
-"""Frames of a recording from which it is said that they show one light only; the presets' have up to 105."""
+"""Number of frames of a recording above which the command warns that they share one light. Presets have up to 105."""
 
 OutOption = Annotated[Path, output(metavar=DIR_METAVAR, help="Dataset folder.")]
 

@@ -35,23 +35,23 @@ DatasetArgument = Annotated[Path, typer.Argument(metavar="DATASET", help="Datase
 
 
 def _named(folder: Path, dataset: Path) -> Path:
-    """A folder for what is made of a dataset, called as the dataset is."""
+    """Return the output folder for a dataset, with the name of the dataset."""
     return folder / dataset.resolve().name
 
 
 def _look(dataset: "Dataset", command: str, out: Path, **how: Any) -> AbstractContextManager[Path]:
-    """The folder or file `out` for what a command makes of a dataset, as `replaceable_output` gives it."""
+    """Open the output folder or file `out` of a command on a dataset, as `replaceable_output` does."""
     return replaceable_output(out, f"skope gen {command}", dataset.root, inputs=dataset.sources, **how)
 
 
 def check(
     console: Console,
     dataset: DatasetArgument = DATA_FOLDER,
-    repair: Annotated[bool, option("--repair", help="Make what is broken again.")] = False,
-    against: Annotated[
-        Path | None, option(metavar=DIR_METAVAR, help="Another dataset: say how the two differ instead.")
+    repair: Annotated[bool, option("--repair", help="Generate broken files again.")] = False,
+    against: Annotated[Path | None, option(metavar=DIR_METAVAR, help="Compare with this dataset instead.")] = None,
+    workers: Annotated[
+        int | None, option(help="Number of worker processes for --repair.", show_default="one per core")
     ] = None,
-    workers: Annotated[int | None, option(help="Worker processes of --repair.", show_default="one per core")] = None,
     json: JsonOption = False,
 ) -> None:
     """Check a dataset: files and their bytes, schema, ids, masks, re-projection, depth; exit code 1 with findings."""
@@ -86,7 +86,7 @@ def stats(
     plots: Annotated[Path | None, option(metavar=DIR_METAVAR, help="Folder for plots (PNG).")] = None,
     json: JsonOption = False,
 ) -> None:
-    """Say what a dataset holds: vehicles, distances, sizes, occlusion, visible keypoints and types, split by split."""
+    """Print statistics of a dataset: vehicles, distances, sizes, occlusion, visible keypoints and types, by split."""
     from skope.dataset.folder import open_dataset
     from skope.gen.inspect.stats import plot, split_stats, stats_table
 
@@ -111,23 +111,23 @@ def show(
     image: Annotated[int | None, option(help="Draw the image with this id.")] = None,
     sites: Annotated[
         str | None,
-        option(metavar=LIST_METAVAR, help="A sheet of each of these sites instead of one of each split."),
+        option(metavar=LIST_METAVAR, help="One sheet for each of these sites, instead of one per split."),
     ] = None,
     keypoints: Annotated[bool, layer("--keypoints", help="Boxes, keypoints and skeletons.")] = False,
     boxes_3d: Annotated[bool, layer("--boxes-3d", help="3D boxes.")] = False,
     mask: Annotated[bool, layer("--mask", help="Visible pixels.")] = False,
     depth: Annotated[bool, layer("--depth", help="Depth, by colour.")] = False,
-    occlusion: Annotated[bool, layer("--occlusion", help="Hidden shares and reasons to ignore.")] = False,
+    occlusion: Annotated[bool, layer("--occlusion", help="Hidden fractions and reasons to ignore.")] = False,
     out: Annotated[
         Path | None,
         option(
             metavar=DIR_METAVAR,
-            help="Folder for the pictures.",
+            help="Folder for the images.",
             show_default=f"{SHEETS_FOLDER}/ and the dataset's name",
         ),
     ] = None,
 ) -> None:
-    """Draw labels on images: keypoints by default, and anything else of them."""
+    """Draw labels on images: keypoints by default, other layers on request."""
     from skope.dataset.folder import open_dataset
     from skope.gen.inspect.overlays import LAYER_NAMES, one_image, sheets
 
@@ -150,7 +150,7 @@ def report(
     dataset: DatasetArgument = DATA_FOLDER,
     max_images: Annotated[
         int,
-        option(least=1, help="At most so many images, spread over splits, sites and recordings."),
+        option(least=1, help="Maximum number of images, spread over splits, sites and recordings."),
     ] = 48,
     out: Annotated[
         Path | None,
@@ -159,7 +159,7 @@ def report(
         ),
     ] = None,
 ) -> None:
-    """One page to look at a dataset: its card, numbers and plots, and images with layers to switch and to filter by."""
+    """Write a page about a dataset: card, statistics, plots, and images with layers and filters."""
     from skope.dataset.folder import open_dataset
     from skope.gen.inspect.report import write_dataset_report
 
@@ -177,13 +177,13 @@ def view(
         list[str] | None,
         option(
             metavar=LIST_METAVAR,
-            help="Split to look at; several: repeat it or separate by commas.",
+            help="Split to show; repeat it or separate several by commas.",
             show_default="all of them",
         ),
     ] = None,
     port: PortOption = None,
 ) -> None:
-    """Look through all images of a dataset in the browser, with layers to switch and filters; Ctrl-C ends it."""
+    """Show all images of a dataset in the browser, with layers and filters. Ctrl-C stops it."""
     from skope.dataset.folder import open_dataset
     from skope.gen.inspect.overlays import dataset_collection
     from skope.viewer.server import serve
@@ -194,9 +194,9 @@ def view(
 def video(
     site: Annotated[str, typer.Argument(metavar="SITE", help="A site of `skope gen sites`, or a site file.")],
     console: Console,
-    seconds: Annotated[float, traffic(help="Length.")] = 30.0,
-    fps: Annotated[float, traffic(help="Frames a second: 5, 8, 10, 12.5, 20, 25, 40 or 50.")] = 25.0,
-    seed: Annotated[int, traffic(help="Same seed, same footage.")] = 0,
+    seconds: Annotated[float, traffic(help="Duration, seconds.")] = 30.0,
+    fps: Annotated[float, traffic(help="Frames per second: 5, 8, 10, 12.5, 20, 25, 40 or 50.")] = 25.0,
+    seed: Annotated[int, traffic(help="Seed; the same seed gives the same footage.")] = 0,
     size: Annotated[str, camera(metavar=SIZE_METAVAR, help="Image size.")] = "1280x720",
     fov: Annotated[float, camera(help="Horizontal field of view, degrees.")] = 80.0,
     weather: Annotated[
@@ -211,7 +211,7 @@ def video(
         str | None, camera(choices=HOUR_CHOICES, help="Time of day.", show_default="the site's")
     ] = None,
     road_users: Annotated[
-        bool, traffic("--road-users", help="Label people on foot and on two wheels too, and draw more of them.")
+        bool, traffic("--road-users", help="Also label people on foot and on two wheels, and generate more of them.")
     ] = False,
     overlay: Annotated[bool, output("--overlay", help="Write a second video with the labels drawn.")] = False,
     out: Annotated[
@@ -219,7 +219,7 @@ def video(
     ] = VIDEO_FOLDER,
     renderer: RendererOption = "auto",
 ) -> None:
-    """Make footage of a site, with labels of every frame."""
+    """Generate a video of a site, with labels for every frame."""
     from skope.files.atomic import sha256_of
     from skope.gen.generation_site import own_site
     from skope.gen.labels.ignore_rules import Rules

@@ -1,4 +1,4 @@
-"""Options that several commands of `skope gen` take: what a dataset holds, and who does the work."""
+"""Options that several commands of `skope gen` share: content of a dataset, and workers."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager

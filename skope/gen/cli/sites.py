@@ -19,13 +19,13 @@ def sites(
         Path | None,
         option(
             metavar=DIR_METAVAR,
-            help="Folder for the pictures.",
+            help="Folder for the images.",
             show_default=f"{SITE_PLANS}/towns, or {SITE_PLANS}/ and the site's name",
         ),
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """A table of the camera sites: town, height over the road, pitch, split, what they see; their towns' plans."""
+    """List the camera sites: town, height above the road, pitch, split, and view. Draw plans of their towns."""
     if site:
         told, lines = _own_road(site, out)
     elif maps:
@@ -40,7 +40,7 @@ def sites(
 
 
 def _table() -> tuple[dict[str, Any], list[str]]:
-    """All sites, as a document and as the lines of a table."""
+    """Return all sites, as a document and as lines of a table."""
     from skope.gen.towns.land_use import Layout
     from skope.gen.towns.town import towns
 
@@ -66,7 +66,7 @@ def _table() -> tuple[dict[str, Any], list[str]]:
 
 
 def _plans(out: Path, console: Console) -> tuple[dict[str, Any], list[str]]:
-    """Draw the plan of every town; which files were written, as a document and as lines."""
+    """Draw the plan of each town; return the written files, as a document and as lines."""
     from skope.gen.inspect.town_maps import town_map
     from skope.gen.towns.town import towns
     from skope.pictures import draw
@@ -81,7 +81,7 @@ def _plans(out: Path, console: Console) -> tuple[dict[str, Any], list[str]]:
 
 
 def _own_road(path: Path, out: Path | None) -> tuple[dict[str, Any], list[str]]:
-    """Check a site file and draw its lanes; what it says, as a document and as lines."""
+    """Check a site file and draw its lanes; return its content, as a document and as lines."""
     from skope.gen.generation_site import read_generation_site
     from skope.gen.inspect.town_maps import draw_lanes
     from skope.gen.towns.road_graph import RoadGraph

@@ -25,7 +25,7 @@ NameArgument = Annotated[str | None, typer.Argument(metavar="MODEL", help="One m
 
 @app.command("list")
 def list_models(console: Console) -> None:
-    """A table of the models: type, length x width x height, wheelbase, triangles, share of the traffic."""
+    """List the models: type, length x width x height, wheelbase, triangles, share of the traffic."""
     from skope.gen.vehicles.fleet import fleet
     from skope.gen.vehicles.model import straight_lwh
 
@@ -53,7 +53,7 @@ def list_models(console: Console) -> None:
 
 
 def _notes(entry: "FleetEntry") -> list[str]:
-    """The places where a model of the fleet drives, if not everywhere."""
+    """Return the sites where a model of the fleet drives, if not everywhere."""
     notes = {"presets world, conditions": entry.further, "held out for test sites": entry.held_out}
     return [note for note, holds in notes.items() if holds]
 
@@ -108,7 +108,9 @@ def add(
         Path, typer.Argument(metavar="FILE", help="A .glb, .gltf or .obj file with 33 markers (see docs/vehicles.md).")
     ],
     console: Console,
-    name: Annotated[str | None, option(metavar="NAME", help="What to call it.", show_default="as the file")] = None,
+    name: Annotated[
+        str | None, option(metavar="NAME", help="Name of the model.", show_default="the name of the file")
+    ] = None,
     vehicle_type: Annotated[
         str, option("--type", metavar="TYPE", help="Its vehicle_type in annotations, such as suv or bus.")
     ] = "other",
@@ -124,9 +126,9 @@ def add(
         str | None, option(metavar="AXIS", help="The file's axis that points forward, such as -z.")
     ] = None,
     scale: Annotated[float, option(help="Metres per unit of the file.")] = 1.0,
-    mass: Annotated[float | None, option(help="Kilograms.", show_default="as dense as a car")] = None,
+    mass: Annotated[float | None, option(help="Mass, kilograms.", show_default="as dense as a car")] = None,
 ) -> None:
-    """Turn a model with markers into a vehicle: `skope gen --vehicles NAME` then lets it drive."""
+    """Add a vehicle model from a file with markers. Use it with `skope gen --vehicles NAME`."""
     from skope.errors import one_of
     from skope.gen.inspect.vehicle_models import findings
     from skope.gen.vehicles.fleet import fleet
@@ -163,7 +165,7 @@ def remove(
     model: Annotated[str, typer.Argument(metavar="MODEL", help="A model of `skope gen vehicles add`.")],
     console: Console,
 ) -> None:
-    """Remove a model that was added; datasets with it stay as they are, but cannot be gone on with."""
+    """Remove an added model. Datasets with it stay complete, but cannot be resumed or extended."""
     from skope.gen.vehicles import user_models
     from skope.gen.vehicles.fleet import fleet
 
@@ -183,7 +185,7 @@ def _corners(text: str | None) -> dict[str, str] | None:
 
 
 def _names(name: str | None = None) -> tuple[str, ...]:
-    """All models of the fleet and those that were added, or the one of that name."""
+    """Return all models of the fleet and added ones, or the one with that name."""
     from skope.errors import one_of
     from skope.gen.vehicles.fleet import fleet
     from skope.gen.vehicles.user_models import model_names
@@ -200,7 +202,7 @@ def _loaded(model: str) -> "Vehicle":
 
 
 def _readable(models: tuple[str, ...]) -> tuple[dict[str, "Vehicle"], list[str]]:
-    """Vehicles by name, and in words which of them are damaged."""
+    """Return vehicles by name, and messages about damaged ones."""
     vehicles, damaged = {}, []
     for model in models:
         try:
