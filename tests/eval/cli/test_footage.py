@@ -971,7 +971,7 @@ def test_tracks_are_drawn_into_their_footage(skope: Any, random_run: Path, tmp_p
     coco.write(Path("road.json"), drive(1, 5, speeds=(8.0,)))
     code, _, error = skope("eval", "track", "--annotations", "road.json", "--overlay", "--out", "u")
     assert code == 2
-    assert "does not say where its footage is" in error
+    assert "does not name its footage" in error
 
 
 @pytest.mark.parametrize(
