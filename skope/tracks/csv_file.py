@@ -1,7 +1,7 @@
 """Write and read tracks.csv. The values read equal the values written, to the last digit.
 
-The file has one row per moment of a track; the rows of a track are adjacent. Units: metres, seconds, m/s, m/s^2, square metres, and
-degrees counter-clockwise from world x. An empty cell has no value.
+The file has one row per moment of a track; the rows of a track are adjacent. Units: metres, seconds, m/s, m/s^2, square
+metres, and degrees counter-clockwise from world x. An empty cell has no value.
 """
 
 import csv

@@ -209,7 +209,7 @@ class Track:
         return replace(self, **values)
 
     def sigma_at(self, time_s: float) -> float:
-        """Return the standard deviation of the position at a time in its worst direction, for a known camera, metres."""
+        """Return the position's standard deviation at a time in its worst direction, for a known camera, metres."""
         return float(worst_sigma(self.at(self.total_covariance, time_s)))
 
     def longest_gap(self, time_s: float, around_s: float) -> float:

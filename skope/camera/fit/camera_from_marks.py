@@ -1,4 +1,4 @@
-"""`skope eval camera --points`: a camera file from marked points, or from all marks of a site file."""
+"""`skope eval camera --points`: write a camera file from marked points, or from all marks of a site file."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,9 +27,9 @@ class MarkReportLimits:
     distances_m: tuple[float, ...] = (10.0, 20.0, 40.0, 60.0, 100.0)
     """Distances from the camera's foot at which position errors are reported, metres."""
     useless_share: float = 0.25
-    """Errors larger than this share of the distance are not reported."""
+    """Maximum reported error, as a share of the distance."""
     doubtful_sigmas: float = 3.0
-    """Residual from which a point is to be checked, in standard deviations."""
+    """Minimum residual, in standard deviations, at which the report asks to check a point."""
 
 
 MARK_REPORT: Final = MarkReportLimits()
@@ -47,15 +47,15 @@ class _Marked:
 
 
 def camera_from_marks(path: Path, size: str | None, out: Path) -> Iterator[str]:
-    """Calibrate by the marks of a file and write `out`; yields what was found, heights over the world's z = 0.
+    """Calibrate with the marks of a file, write `out`, and yield lines on the result, with heights over z = 0.
 
     Args:
         path: A site file (`.toml`) with [calibration], or a file of points (`skope.camera.point_files`).
-        size: "WIDTHxHEIGHT" of the image that was marked; None: as the site file says.
+        size: "WIDTHxHEIGHT" of the marked image; None: from the site file.
         out: Camera file to write.
 
     Raises:
-        UserError: A file is malformed, or the marks do not tell a camera.
+        UserError: A file is malformed, or the marks do not determine a camera.
     """
     marked = _read(path, size)
     try:
@@ -94,7 +94,7 @@ def camera_from_marks(path: Path, size: str | None, out: Path) -> Iterator[str]:
 
 
 def evidence_of(path: Path, size: str | None) -> Evidence:
-    """The marks of a file, as `camera_from_marks` takes them. Raises UserError."""
+    """Return the marks of a file, as in `camera_from_marks`. Raise UserError if it is malformed."""
     return _read(path, size).evidence
 
 
@@ -124,7 +124,7 @@ def _read(path: Path, size: str | None) -> _Marked:
 
 
 def image_size(text: str) -> tuple[int, int]:
-    """Width and height of "WIDTHxHEIGHT"."""
+    """Return width and height of "WIDTHxHEIGHT"."""
     width, _, height = text.partition("x")
     right = all(part.isascii() and part.isdecimal() and len(part) <= 5 and int(part) for part in (width, height))
     if not right:
