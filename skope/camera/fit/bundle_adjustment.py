@@ -270,7 +270,7 @@ class BundleAdjustment:
         return Solved(bundle, self._prior, cost, here.squared, counted, parts.information, parts.pull)
 
     def with_likeliest_types(self, bundle: Bundle) -> Bundle:
-        """Return the same camera and offsets, with the most likely body type of each vehicle after fitting its shape."""
+        """Return the bundle with the most likely body type of each vehicle after its shape is fitted."""
         starts = self._starts(bundle.camera)
         best, least = bundle, np.full(self._views.count, np.inf)
         for kind in range(len(self._shapes.types)):

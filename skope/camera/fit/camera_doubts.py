@@ -71,7 +71,7 @@ def rejection_reason(estimate: CameraEstimate, lower_edges: Array) -> str | None
 
 
 def sigma_of_ways(estimate: CameraEstimate) -> float:
-    """Return the relative standard deviation of distances along the vehicles' headings: the 90th percentile of views."""
+    """Return the relative standard deviation of distances along headings: the 90th percentile of the views."""
     J = slopes(lambda unknowns: _log_ways(estimate, unknowns), estimate.solved.bundle.camera, RAY_LIMITS.step)
     variance = np.einsum("bi,ij,bj->b", J, estimate.covariance, J)
     return float(np.sqrt(np.percentile(variance, 90)))

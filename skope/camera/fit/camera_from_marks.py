@@ -133,7 +133,7 @@ def image_size(text: str) -> tuple[int, int]:
 
 
 def _saved(path: Path) -> datetime:
-    """Time at which the marks were made, as far as the file itself tells."""
+    """Return the modification time of the file, as the time at which the marks were made."""
     return datetime.fromtimestamp(int(path.stat().st_mtime), UTC)
 
 
@@ -152,7 +152,7 @@ def _from(path: Path, evidence: Evidence) -> str:
 
 
 def _points(evidence: Evidence, found: SiteCalibration, left_out: Mapping[str, LeftOutError]) -> list[dict[str, Any]]:
-    """Each point with its residual, its error on the road, and where the others put it."""
+    """Return each point with its residual and its leave-one-out error."""
     rows = []
     for point in evidence.points:
         seen = found.camera.project(point.place)[0]
@@ -188,7 +188,7 @@ def _figures(found: SiteCalibration) -> Iterator[str]:
 
 
 def place_errors(found: UncertainCamera) -> str:
-    """Uncertainty of places on the road, at the worst of those that lie so far from the camera, in words."""
+    """Return a sentence on the largest position error on the road at several distances from the camera."""
     yaw, foot = found.camera.angles[0], found.camera.position[:2]
     told, farthest = [], ""
     for distance in MARK_REPORT.distances_m:
@@ -197,16 +197,16 @@ def place_errors(found: UncertainCamera) -> str:
             continue
         error = float(np.max(np.nan_to_num(found.place_error(pixels), nan=math.inf)))
         if error > MARK_REPORT.useless_share * distance:
-            farthest = f"; from {distance:g} m on by more than a quarter of the distance"
+            farthest = f"; from {distance:g} m on the error exceeds a quarter of the distance"
             break
         told.append(f"{error:.2g} m at {distance:g} m")
     if not told:
-        return f"places on the road are not known (90%){farthest}"
-    return f"places on the road lie within (90%) {', '.join(told)} from the camera{farthest}"
+        return f"positions on the road are not known (90%){farthest}"
+    return f"position errors on the road (90%): {', '.join(told)} from the camera{farthest}"
 
 
 def _seen_at(found: UncertainCamera, yaw: float, foot: Array, distance: float) -> Array:
-    """(N, 2) pixels of places at a distance from the camera's foot that the image shows."""
+    """Return (N, 2) pixels of visible positions at a distance from the camera's foot."""
     angles = yaw + SECTOR_ANGLES
     ring = np.column_stack([foot + distance * np.column_stack([np.cos(angles), np.sin(angles)]), np.zeros(len(angles))])
     pixels, _, valid = found.camera.project(ring)
@@ -218,5 +218,5 @@ def _point_line(row: Mapping[str, Any]) -> str:
     line = f"point {row['name']}: pixel ({u:g}, {v:g}), world ({place}): {row['off_px']:.2f} px off"
     if "left_out" in row:
         error = row["left_out"]
-        line += f"; by the others {error['error_m']:.2f} m off ({error['stated_m']:.2f} m stated)"
+        line += f"; located by the others {error['error_m']:.2f} m off ({error['stated_m']:.2f} m stated)"
     return f"{line}; wrong?" if row["outlier"] else line

@@ -145,9 +145,7 @@ def registration(before: Pixels, after: Pixels, known: UncertainCamera, name: st
     reference = ReferencePicture(first)
     motion, followed = reference.motion(moved), reference.followed(moved)
     if motion is None or followed is None:
-        raise UserError(
-            f"{name}: too few corners of one image are found in the other to measure how the camera was turned"
-        )
+        raise UserError(f"{name}: too few common corners in the two images to measure the turn of the camera")
     rays, valid = known.camera.rays(followed.before)
     rays, corners = rays[valid], replace(followed, before=followed.before[valid], after=followed.after[valid])
     camera, off = _turn(known.camera, rays, corners, motion)

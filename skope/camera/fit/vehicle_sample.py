@@ -1,4 +1,4 @@
-"""Select vehicles of a scene for fitting a camera or a road: those with enough keypoints, in views along their paths."""
+"""Select vehicles of a scene to fit a camera or a road to: those with enough keypoints, in views along their paths."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

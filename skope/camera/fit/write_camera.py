@@ -1,4 +1,4 @@
-"""`skope eval camera`: write a camera file from vehicles, report its parameters, and correct its scale with known lengths.
+"""`skope eval camera`: write a camera file from vehicles, report it, and correct its scale with known lengths.
 
 The mean vehicle size of a country cannot be measured in an image, and every distance scales with it. A length measured
 on the road (a dash, a lane's width, a kerb) corrects the scale.
@@ -84,7 +84,7 @@ def corrected(estimate: CameraEstimate, lengths: Sequence[KnownLength]) -> Camer
             (a, b), (c, d) = length.ends.tolist()
             raise UserError(
                 f"--length {a:g},{b:g},{c:g},{d:g},{length.metres:g}: under the camera from the vehicles this is "
-                f"{math.exp(says):.3g} m: it is not on the road, the road is not a plane, or one of the numbers is wrong"
+                f"{math.exp(says):.3g} m: it is not on the road, the road is not a plane, or a number is wrong"
             )
         unknowns = unknowns + across * away / variance
         covariance = covariance - np.outer(across, across) / variance

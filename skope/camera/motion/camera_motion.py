@@ -155,7 +155,7 @@ def turned_camera(camera: Camera, x: float, y: float, turn: float) -> Camera:
 
 
 def covariance_of_turns(camera: Camera, sigmas: tuple[float, float, float]) -> Array:
-    """Return the covariance (3, 3) of pitch, roll and yaw from standard deviations of x, y (pixels) and turn (radians)."""
+    """Return the (3, 3) covariance of pitch, roll and yaw from sigmas of x, y (pixels) and turn (radians)."""
     which = [CAMERA_PARAMETERS.index(name) for name in TURN_ANGLES]
     columns = []
     for step in np.diag(_DIFFERENCE_STEPS):

@@ -306,12 +306,12 @@ def _fitted(before: Array, after: Array, shape: tuple[int, ...], least: int) -> 
     way = after - before
     middle = np.median(way, axis=0)
     design = _design(x, y)
-    # A turned camera's shift grows towards the edges by about as much again; that of one that stands still does not.
+    # The shift of a turned camera about doubles towards the edges; without a turn it stays the same.
     bend = float(np.hypot(*middle)) + 1e-3
     weight, spread = np.exp(-np.linalg.norm(way - middle, axis=1)), 1.0
     for _ in range(SHIFT_LIMITS.fit_rounds):
         told = np.repeat(weight, 2)[:, None] * design
-        # What is known of the bend counts as much as a corner that is as uncertain as these.
+        # The prior of the bend has the weight of one corner with the same uncertainty.
         normal = design.T @ told + np.diag([0.0] * 4 + [(spread / bend) ** 2] * 6)
         values = np.linalg.solve(normal + 1e-9 * np.eye(len(normal)), told.T @ way.ravel())
         off = np.linalg.norm(way - (design @ values).reshape(-1, 2), axis=1)

@@ -64,7 +64,7 @@ def test_a_site_file_is_calibrated_by_all_that_it_has(skope: Any) -> None:
     assert (error < 2 * known.place_error(at)).all()
     row = document["marked_points"][0]
     assert set(row["left_out"]) == {"error_m", "stated_m"}
-    assert "places on the road lie within (90%)" in out
+    assert "position errors on the road (90%)" in out
     assert "length 1: " in out
     # The same again leaves the file as it is.
     assert skope(*camera_command("site.toml"))[0] == 0

@@ -426,7 +426,7 @@ def test_each_camera_of_a_file_has_a_road_of_its_own(skope: Any) -> None:
     code, out, err = skope("eval", "pose", "--annotations", "three.json", "--noise", 1, "--out", "p", "-q")
     assert code == 0, err
     assert "of 1 of 3 cameras contradict a level road" in out
-    assert f"in {len(seen[2].images)} images of others too few tell" in out
+    assert f"in {len(seen[2].images)} images of others have too few vehicles" in out
     rows = [json.loads(line) for line in Path("p/poses.jsonl").read_text().splitlines()]
     of_part = {image.id: k for k, file in enumerate(numbered(parts)) for image in file.images}
     for k, z in enumerate(heights):
