@@ -134,7 +134,7 @@ def _with_roads(scene: Scene, cameras: list[list[Image]], asking: dict[str, Any]
         "z = 0 (--ground 0 insists on it): each of these has a road that was fitted to its vehicles"
     )
     if unclear:
-        words += f"; {counted(len(unclear), 'image')} of others have too few vehicles; their distances follow from size alone"
+        words += f"; {counted(len(unclear), 'image')} of others have too few vehicles: distances by size"
     return replace(scene, roads=roads), words
 
 

@@ -1009,6 +1009,6 @@ def test_a_stopped_run_of_poses_goes_on_to_the_same_bytes(skope: Any, monkeypatc
         assert skope(*call, "--out", "stopped")[0] != 0
     code, out, error = skope("eval", "pose", "--annotations", "road.json", "--noise", 1, "--out", "stopped")
     assert code == 0, error
-    assert "going on after the poses of 2 images" in out
+    assert "resuming after the poses of 2 images" in out
     for name in ("poses.jsonl", "poses.csv", "pose_errors.json"):
         assert Path("stopped", name).read_bytes() == Path("whole", name).read_bytes()
