@@ -257,7 +257,7 @@ def test_a_stopped_run_goes_on_and_ends_as_if_never_stopped(
     assert not Path("parts/predictions.json").exists()
     code, out, _ = skope(*call, "--out", "parts")
     assert code == 0
-    assert "going on after frame 3" in out
+    assert "resuming after frame 3" in out
     for name in ("predictions.json", "frames.json"):
         assert Path("parts", name).read_bytes() == Path("whole", name).read_bytes()
     assert {p.name for p in Path("parts").iterdir()} == {"predictions.json", "frames.json", "work.json"}
@@ -300,7 +300,7 @@ def test_stopped_at_any_frame_between_key_frames_it_ends_as_if_never_stopped(
             assert skope(*call, "--out", f"parts{count}")[0] == 130
         code, out, _ = skope(*call, "--out", f"parts{count}")
         assert code == 0
-        assert f"going on after frame {count}" in out
+        assert f"resuming after frame {count}" in out
         for name in ("predictions.json", "frames.json"):
             assert Path(f"parts{count}", name).read_bytes() == Path("whole", name).read_bytes()
 
