@@ -170,7 +170,7 @@ def _doubts(names: Sequence[str], best: _Hypothesis, found: Sequence[_Hypothesis
 
 
 def _doubted(fit: WeightedFit, count: int) -> list[int]:
-    """Return the points whose removal lowers the cost most, for a linear model: r (1 - H)^-1 r, H the projection."""
+    """Return the points that lower the cost most when removed, for a linear model: r (1 - H)^-1 r, H the projection."""
     first = np.cumsum([0, *(len(block) for block in fit.blocks)])
     hat = fit.J @ np.linalg.pinv(fit.J)
     gains = []

@@ -111,7 +111,7 @@ class CameraCalibration:
 
 
 def read_calibration(path: Path, *, raw: bool = False) -> CameraCalibration:
-    """Read a calibration file, whose format follows from its name.
+    """Read a calibration file. Its format follows from its name.
 
     .yml, .yaml and .xml are OpenCV's, ROS's or Kalibr's, .json is TUMTraf's and .txt Rope3D's. Raises UserError naming
     file and field.

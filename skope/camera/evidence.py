@@ -43,7 +43,7 @@ class MarkedPoint:
     sigma_m: float = MARKING_ERRORS.place_m
     """Standard deviation of x and y, metres."""
     sigma_z_m: float = MARKING_ERRORS.height_m
-    """Standard deviation of z, metres; larger for points above the road whose heights were not measured well."""
+    """Standard deviation of z, metres; larger for points above the road with inaccurate heights."""
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -160,7 +160,7 @@ class CameraPrior:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """All evidence on a camera whose images have one size."""
+    """All evidence on a camera with images of one size."""
 
     size: tuple[int, int]
     """Width and height of the images, pixels."""

@@ -269,7 +269,7 @@ class Camera:
             distortion: Distortion of the lens; None: none.
 
         Returns:
-            A camera with square pixels, whose axis meets the middle of the image.
+            A camera with square pixels and its axis through the middle of the image.
         """
         width, height = size
         focal = width / 2 / math.tan(fov / 2)
@@ -320,7 +320,7 @@ class Camera:
         }
 
     def resized(self, size: tuple[int, int]) -> "Camera":
-        """Return a camera with the same view whose images have another size (width, height), pixels."""
+        """Return a camera with the same view and images of another size (width, height), pixels."""
         scale = np.array([[size[0] / self.width], [size[1] / self.height], [1.0]])
         return replace(self, width=size[0], height=size[1], K=self.K * scale)
 

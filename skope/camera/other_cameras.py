@@ -68,7 +68,7 @@ def spread_around(
     """Return the covariance that other likely cameras add to that of one camera.
 
     Args:
-        own: The camera whose covariance is extended.
+        own: The camera with the covariance to extend.
         others: The other cameras that fit the evidence.
         chances: Probability of each of them.
         unknown: Names in `CAMERA_PARAMETERS` of the P fitted parameters.

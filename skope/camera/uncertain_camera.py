@@ -42,7 +42,7 @@ UNCERTAINTY_LIMITS: Final = UncertaintyLimits()
 
 @dataclass(frozen=True, eq=False)
 class UncertainCamera:
-    """Camera whose parameters have a Gaussian error.
+    """Camera with a Gaussian error of its parameters.
 
     Raises UserError if the covariance is invalid, or a parameter name is unknown.
     """

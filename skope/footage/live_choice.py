@@ -16,7 +16,7 @@ from skope.terminal.console import Console
 from skope.types import Pixels
 
 TIMED_FRAMES: Final = 3
-"""Number of timed frames whose median gives a detector's rate, after one warm-up frame."""
+"""Number of timed frames; their median gives a detector's rate, after one warm-up frame."""
 
 
 class FrameDetector(Protocol):

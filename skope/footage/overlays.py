@@ -55,7 +55,7 @@ def blurred(image: Pixels, found: Iterable[Result], road_users: Iterable[RoadUse
 
     Args:
         image: (H, W, 3) RGB.
-        found: Vehicles, whose glass and plates are averaged, also those of hidden sides.
+        found: Vehicles. Their glass and plates are averaged, also those of hidden sides.
         road_users: Pedestrians and two-wheelers. The upper part of their boxes is averaged, because it has the head.
     """
     out = image.copy()

@@ -118,7 +118,7 @@ def _tell_notes(footage: Footage, told: int, console: Console) -> int:
 
 
 def _loaded(job: PredictJob, settings: Settings, console: Console) -> Predictor | LiveDetectorSelector:
-    """Load the job's detector; for a live stream those that come with skope, unless another one is requested."""
+    """Load the job's detector; for a live stream those that come with skope, unless another detector is requested."""
     given = None if job.checkpoint is None else str(job.checkpoint)
     if job.footage.live and (given is None or (given in weights.BY_ACCURACY and not Path(given).exists())):
         return LiveDetectorSelector.load(given, settings, job.footage.cut.every, console)

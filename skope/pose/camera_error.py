@@ -68,7 +68,7 @@ def with_camera_error(poses: Poses, known: UncertainCamera | None, ground: Groun
     """Add the camera's error to the covariances of poses.
 
     Args:
-        poses: Poses whose covariances assume a known camera.
+        poses: Poses with covariances for a known camera.
         known: The camera with its uncertainty; None: unknown, and the poses are returned unchanged.
         ground: The road; None: unknown, and the poses are returned unchanged.
     """

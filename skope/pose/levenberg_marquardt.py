@@ -58,7 +58,7 @@ class Fits:
     """(N, J, 6 + M, 6 + M) normal matrices in shift (metres), turn about the vehicle's own axes (radians) and shape."""
 
     def shaped(self, n: int, j: int) -> "Fits":
-        """Return fits whose arrays begin with an axis (N * J,) as fits of shape (N, J)."""
+        """Return fits with arrays that begin with an axis (N * J,) as fits of shape (N, J)."""
         return Fits(*(value.reshape(n, j, *value.shape[1:]) for value in (getattr(self, f.name) for f in fields(self))))
 
     def take(self, rows: NDArray[np.intp]) -> "Fits":
@@ -138,7 +138,7 @@ class _Problem:
         self._xy = seen.xy[row, self._which]
         self._measured = seen.variance[row, self._which]  # pixels^2, of the measurement
         self._focal = seen.focal
-        # Variance of what the shape space leaves out: at a depth of 1 m, pixels^2.
+        # Variance of residuals outside the shape space: at a depth of 1 m, pixels^2.
         self._rest = (seen.focal.mean() * shapes.rest[kind[:, None], self._which]) ** 2
         self._mean = shapes.mean[kind[:, None], self._which]  # (B, k, 3)
         self._directions = np.moveaxis(shapes.directions, 1, -1)[kind[:, None], self._which]  # (B, k, 3, M)
@@ -175,7 +175,7 @@ class _Problem:
             for mine, other in zip((cost, squared, variance, normal, gradient), there, strict=True):
                 mine[good] = other[better]
             damping[live] *= np.where(better, 0.1, 10.0)
-            # Drop vehicles whose last step gained almost nothing, and those that no tiny step improves.
+            # Drop vehicles with almost no gain in the last step, and those that no tiny step improves.
             live = live[~(better & (gained < OPTIMISER_LIMITS.settled * (1 + cost[live]))) & (damping[live] < 1e8)]
             if not live.size:
                 break

@@ -139,7 +139,7 @@ def _outline(box: Box3D) -> Any:
 def pose_summary(errors: PoseErrors) -> dict[str, Any]:
     """Return counts and quantiles over all vehicles, by distance and by occlusion; null if there are none.
 
-    Articulated vehicles, whose pose is that of the part in front of the hinge, are also listed by their bend.
+    Articulated vehicles are also listed by their bend. Their pose is that of the part in front of the hinge.
     """
     out: dict[str, Any] = {"all": _cell(errors)}
     groups = [

@@ -202,7 +202,7 @@ def read_occluder(row: TomlTable) -> OccluderMark:
 
 
 def read_outline(row: TomlTable, corner: str = "[column, row]") -> Outline:
-    """Return at least three corners of `polygon`, whose sides do not cross; `corner` describes a corner in messages."""
+    """Return at least three corners of `polygon`, without crossing sides; `corner` describes a corner in messages."""
     points = row.value("polygon")
     if not isinstance(points, list) or len(points) < 3:
         raise row.wrong("polygon", f"expected three or more {corner}")

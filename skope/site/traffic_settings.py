@@ -8,7 +8,7 @@ from skope.records import TomlTable, plain_values
 from skope.site.gates_zones_lanes import checked_name
 
 VEHICLE_CLASSES: Final = ("car", "van", "lorry", "bus")
-"""Classes of vehicles. A vehicle whose class is too uncertain has the class unknown."""
+"""Classes of vehicles. A vehicle with a too uncertain class has the class unknown."""
 UNKNOWN_CLASS: Final = "unknown"
 OF_VEHICLES: Final = frozenset({*VEHICLE_CLASSES, UNKNOWN_CLASS})
 """Classes of vehicles, including unknown."""

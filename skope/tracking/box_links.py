@@ -1,6 +1,6 @@
 """Link the boxes of one vehicle from frame to frame of a video.
 
-A box is linked to a vehicle whose predicted box is near, or from which points were followed to the box
+A box is linked to a vehicle with a predicted box nearby, or to one with points that were followed to the box
 (`Result.track_id` of `skope.footage.key_frames`). A vehicle that is not detected for a while counts as a new vehicle.
 """
 

@@ -91,7 +91,7 @@ def smoothed_headings(times_s: Array, measured: Array, sigma: Array, velocity: A
 
 
 def _turning(times_s: Array, measured: Array, sigma: Array, speed: Array) -> Array:
-    """Return (M,) smoothed headings of a body whose rate of turn changes slowly, and only while it moves.
+    """Return (M,) smoothed headings of a body with a slowly changing rate of turn, and only while it moves.
 
     This is a Kalman filter with Rauch, Tung and Striebel's smoother. The state is the heading and the rate of turn,
     which decays like the accelerations. At least one heading must not be NaN; the first known one also starts the

@@ -45,7 +45,7 @@ class FootTrackLimits:
     foot_mps: float = 4.0
     """Median speed above which a road user is a two-wheeler, regardless of the boxes, m/s."""
     other_category_cost: float = 4.0
-    """Squared distance, in variances, added for a detection whose category differs from the track's."""
+    """Squared distance, in variances, added for a detection of another category than the track's."""
     fewest_positions: int = 3
     """Minimum number of positions of a track."""
     shortest_s: float = 0.4
@@ -105,7 +105,7 @@ class _Step:
 
 @dataclass(eq=False)
 class _Open:
-    """Track whose road user may still appear in later frames."""
+    """Track that may still get detections in later frames."""
 
     steps: list[_Step]
     """The frames that can still change."""

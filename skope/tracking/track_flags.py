@@ -1,4 +1,4 @@
-"""Flag doubtful tracks, and split tracks whose motion is impossible for one vehicle."""
+"""Flag doubtful tracks, and split tracks with motion that is impossible for one vehicle."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -17,7 +17,7 @@ TRACK_FLAGS: Final = ("two_poses", "never_moved", "impossible_motion", "against_
 
 - `two_poses`: no more than two poses show the vehicle.
 - `never_moved`: it may be a parked car, or an object that is taken for a road user.
-- `impossible_motion`: part of a track whose acceleration no vehicle can reach: two vehicles in one track.
+- `impossible_motion`: part of a track with an acceleration that no vehicle can reach: two vehicles in one track.
 - `against_traffic`: all others at its positions drive in the opposite direction.
 - `implausible_speed`: the vehicles around it are much faster or slower.
 """
@@ -39,7 +39,7 @@ class FlagLimits:
     standing_s: float = 5.0
     """Minimum duration of a track that never moved, seconds."""
     end_rows: int = 3
-    """Number of rows at the start and end of a track whose median shows whether it arrived or left."""
+    """Number of rows at the start and end of a track; their medians show whether it arrived or left."""
     acceleration_mps2: float = 9.0
     """Acceleration, along or across, that no vehicle reaches, m/s^2."""
     acceleration_s: float = 0.5
@@ -183,7 +183,7 @@ def _against_traffic(tracks: Sequence[Track]) -> set[int]:
 
 
 def _implausible_speeds(tracks: Sequence[Track]) -> set[int]:
-    """Return the numbers of tracks whose speed contradicts the flow at most of the spots that they pass.
+    """Return the numbers of tracks with a speed that contradicts the flow at most of the spots that they pass.
 
     Spots are counted, not moments: a vehicle that waits at a traffic light has the speed of the flow on most of its
     way.

@@ -116,7 +116,7 @@ Sighting: TypeAlias = tuple[int, float, Detection]
 
 @dataclass(eq=False)
 class OpenTrack:
-    """Track whose vehicle may still appear in later frames."""
+    """Track that may still get detections in later frames."""
 
     steps: list[TrackStep]
     """The frames that can still change."""
@@ -129,13 +129,13 @@ class OpenTrack:
     last_pose_s: float = 0.0
     """Time of `last_pose`, seconds."""
     elsewhere: dict[int, Detection] = field(default_factory=dict)
-    """Detections since `last_pose`, by frame, whose box matches this vehicle but whose pose is elsewhere."""
+    """Detections since `last_pose`, by frame, that match this vehicle by box but not by pose."""
     successor: "OpenTrack | None" = None
     """Track that continues from `elsewhere` in place of this one, which then ends with `last_pose`."""
     approach: list[Sighting] = field(default_factory=list)
     """Detections of the vehicle before its first pose, latest first."""
     surrounding: "OpenTrack | None" = None
-    """Other track whose vehicle encloses the middle of this one; both may be the same vehicle."""
+    """Other track with a vehicle around the middle of this one; both may be the same vehicle."""
     surrounded_s: float = 0.0
     """Time since which `surrounding` has not changed, seconds."""
 
@@ -172,7 +172,7 @@ class OpenTrack:
         return self.steps[-2].detection.bbox if len(self.steps) > 1 and self.steps[-2].detection is not None else None
 
     def predict(self, frame: int, time_s: float, F: Array, Q: Array) -> None:
-        """Advance to a frame whose detections are not known yet.
+        """Advance to a frame with detections that are not known yet.
 
         Args:
             frame: The frame, from 0.

@@ -261,7 +261,7 @@ def _by_link(live: Sequence[OpenTrack], detections: Sequence[Detection]) -> tupl
 
 
 def _clear_pairs(live: Sequence[OpenTrack], posed: Sequence[Posed], time_s: float) -> list[tuple[int, int]]:
-    """Return the index pairs of tracks and detections whose boxes clearly belong together.
+    """Return the index pairs of tracks and detections with boxes that clearly belong together.
 
     The track's box is recent. No other pair of either has an IoU close to theirs.
     """

@@ -26,7 +26,7 @@ USUAL_SIZE_M: Final[Mapping[str, tuple[float, float]]] = {
     "bicycle": (1.8, 0.7),
     "motorcycle": (2.1, 0.8),
 }
-"""Length and width by category, metres, of road users whose own size is not measured."""
+"""Length and width by category, metres, of road users without a measured size."""
 VEHICLE_LENGTH_SIGMA_M: Final = 0.3
 """Standard deviation of a vehicle's measured length, metres."""
 KMH_PER_MPS: Final = 3.6

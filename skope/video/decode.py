@@ -64,7 +64,7 @@ def decode_frames(container: "InputContainer", stream: "VideoStream") -> Iterato
 class Decoder:
     """Decodes the packets of a stream to progressive frames without damage.
 
-    A frame that is damaged, or whose packet cannot be decoded, is dropped. The frames after it up to the next key
+    A frame that is damaged, or has a packet that cannot be decoded, is dropped. The frames after it up to the next key
     frame are also dropped, because they depend on it.
     """
 

@@ -37,7 +37,7 @@ class FootageLimits:
     """Limits for seeking and for frame rates."""
 
     seek_frames: int = 50
-    """Number of frames whose decoding takes as long as seeking past them."""
+    """Number of frames that take as long to decode as to seek past."""
     most_fps: float = 1000.0
     """Maximum frame rate, frames per second."""
     rounded_s: float = 0.5
@@ -109,7 +109,7 @@ class Footage(ABC):
     @property
     @abstractmethod
     def fps(self) -> float | None:
-        """Frames per second after the cut; None for images, and for a live stream, whose frames are irregular."""
+        """Frames per second after the cut; None for images, and for a live stream with its irregular frames."""
 
     @abstractmethod
     def __len__(self) -> int:
@@ -274,7 +274,7 @@ class ServerVideo(VideoFootage):
 
 
 class LiveStream(VideoFootage):
-    """Stream whose frames arrive irregularly, and only once."""
+    """Stream of frames that arrive irregularly, and only once."""
 
     @property
     def live(self) -> bool:

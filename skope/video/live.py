@@ -81,7 +81,7 @@ class CameraClock:
         self.steps: list[tuple[float, float]] = []
         """Times at which the camera's clock was set, and the size of each step, seconds."""
         self.strays = 0
-        """Number of frames whose time stamp was rejected and did not become a step."""
+        """Number of frames with a rejected time stamp that did not become a step."""
         self.last_s = -1.0
         """Time of the last frame, seconds."""
         self._offset_s: float | None = None

@@ -221,7 +221,7 @@ class BundleAdjustment:
         self._prior = known.precision(_offset_sigma())
 
     def begun(self, camera: Array) -> Bundle:
-        """Place vehicles under a camera (5,) in closed form, with the body type whose mean shape fits best."""
+        """Place vehicles under a camera (5,) in closed form, with the body type of the best-fitting mean shape."""
         starts = self._starts(camera)
         cost = self._by_vehicle(np.minimum(starts.cost, ADJUSTMENT_LIMITS.view_cost_cap)) - 2 * np.log(
             self._shapes.share

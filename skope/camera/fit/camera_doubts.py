@@ -43,7 +43,7 @@ class DoubtLimits:
     fewest_directions: int = 5
     """Minimum number of such directions."""
     above_horizon: float = 0.05
-    """Maximum share of vehicles whose lower edge lies above the horizon."""
+    """Maximum share of vehicles with a lower edge above the horizon."""
     segment_m: float = 2.0
     """Length of the road segments over which distances are compared, metres."""
 

@@ -1,4 +1,4 @@
-"""Estimate focal length, height and tilt of a camera from vehicles on the road, whose sizes are roughly known.
+"""Estimate focal length, height and tilt of a camera from vehicles of roughly known size on the road.
 
 The correct camera makes all vehicles likely: plausible shapes, constant over all views of a vehicle, and wheels on one
 plane. `skope.pose.closed_form_starts` ranks a grid of cameras, and the best few are adjusted together with their
@@ -45,9 +45,9 @@ class CameraSearch:
     starts: int = 10
     """Number of cameras of the grid that are adjusted."""
     refined: int = 4
-    """Number of these whose body types are determined by full fits."""
+    """Number of these for which full fits determine the body types."""
     same_unknowns: float = 0.02
-    """Cameras whose unknowns differ by less than this are one."""
+    """Difference of the unknowns below which two cameras are one."""
     sigma_factor: float = 1.5
     """Factor of standard deviations over those that differences between vehicles give. With it and the two floors
     below, 95% intervals cover 95% of generated cameras (docs/from-camera-to-tracks.md)."""

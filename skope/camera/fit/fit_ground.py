@@ -81,7 +81,7 @@ def with_fitted_ground(
     """
     if scene.ground is None or not scene.file.images:
         if asked == "fit" and scene.file.images:
-            raise UserError("--ground fit: needs a camera whose pose is known; `skope eval camera` finds both")
+            raise UserError("--ground fit: needs a camera with a known pose; `skope eval camera` finds both")
         return scene, None
     asking: dict[str, Any] = {"score": score, "noise": noise, "sigma_px": sigma_px}
     calibrated = scene.calibrated_part()  # a camera that was turned sees the same road
@@ -110,7 +110,7 @@ def _images_of_cameras(scene: Scene) -> list[list[Image]]:
 
 
 def _with_roads(scene: Scene, cameras: list[list[Image]], asking: dict[str, Any]) -> tuple[Scene, str | None]:
-    """Return the scene with the road of each camera whose vehicles contradict the level plane, and a line on it.
+    """Return the scene with the roads of the cameras with vehicles that contradict the level plane, and a line on it.
 
     If any do, the world of the file is not level at that height. The road of a camera with too few vehicles is then
     unknown.

@@ -245,13 +245,13 @@ def camera_figures(**values: tuple[float, float]) -> Iterator[str]:
 
 
 def _logarithmic(value: float, sigma: float, digits: int) -> str:
-    """Return the 90% interval of a value whose logarithm is uncertain, as text."""
+    """Return the 90% interval of a value with an uncertain logarithm, as text."""
     factor = math.exp(INTERVAL_SIGMAS * sigma / value)
     return f"{value / factor:.{digits}f} to {value * factor:.{digits}f}"
 
 
 def known_of(height: float | None, fov_deg: float | None, width: int) -> Known:
-    """Return the prior of a camera whose height or field of view is given.
+    """Return the prior of a camera with a given height or field of view.
 
     Args:
         height: Height over the road, metres; None: not given.

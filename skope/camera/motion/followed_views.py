@@ -41,7 +41,7 @@ FOLLOWED_VIEWS: Final = FollowedViewLimits()
 
 @dataclass(frozen=True, eq=False)
 class _Followed:
-    """A view whose homography is known."""
+    """View with a known homography."""
 
     begin_s: float
     end_s: float

@@ -16,7 +16,7 @@ class ContrastMeasure:
     """Settings for measuring the contrast of a frame."""
 
     square_px: int = 9
-    """Side of the squares whose contrast is measured, pixels of the small image."""
+    """Side of the squares for measuring contrast, pixels of the small image."""
     black: float = 0.02
     """Brightness that is added to the denominator. Noise in the dark is not contrast."""
     percentile: int = 75

@@ -1,4 +1,4 @@
-"""Measure the motion of a fixed camera's image relative to another one; this is the only module that measures it.
+"""Measure the motion of a fixed camera's image relative to a reference image; this is the only module that measures it.
 
 A coarse step compares whole edge images, because light changes and background edges do not (phase correlation). A
 fine step then tracks corners of the first image into the second (Lucas and Kanade's method, after contrast
@@ -112,7 +112,7 @@ def coarse_shift(one: Array, other: Array) -> tuple[float, float] | None:
 
 
 def _agreement(one: Array, other: Array) -> float:
-    """Return the share of the non-empty blocks of two images whose edges correlate."""
+    """Return the share of the non-empty blocks of two images in which edges correlate."""
     firsts = [
         [part[0] for part in np.array_split(np.arange(size), min(parts, size))]
         for size, parts in zip(one.shape, SHIFT_LIMITS.blocks, strict=True)

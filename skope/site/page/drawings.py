@@ -253,13 +253,13 @@ def shapes(
     Without a camera only gates that are drawn in the image have a shape. Warnings that need metres are for drawings
     with metres.
 
-    The ways (two places each, metres) are a lane's last leg and the two directions across a gate, from its left to its
+    The ways (two places each, metres) are a lane's last segment and both directions across a gate, from its left to its
     right and back; `arrows` are the same in the image.
 
     Args:
         drawings: The drawings without faults.
         camera: The camera, over a road at z = 0; None: it is not known.
-        place_error: Takes pixels (..., 2) to errors of places in metres (...,); None: they are not known.
+        place_error: Function from pixels (..., 2) to position errors in metres (...,); None: errors are unknown.
 
     Returns:
         For each drawing `kind`, `index` and `warnings`; `lines` and `corners` in pixels, but of occluders; of gates and

@@ -24,7 +24,7 @@ from skope.site.page.overlays import overlays
 from skope.types import Array
 
 FIRST_ADVICE: Final = (
-    "Mark at least four points whose positions you know, or a known length and lines that are parallel on the road. "
+    "Mark at least four points with known positions, or a known length and lines that are parallel on the road. "
     "Gates in the image need no calibration; everything in metres does."
 )
 MIRRORED_ADVICE: Final = (

@@ -94,7 +94,7 @@ def test_pixels_that_are_not_square_are_said_and_make_no_camera(skope: Any, rand
     assert "pixel_width" not in json.loads((tmp_path / "a" / "frames.json").read_text())["info"]
     code, out, error = skope(*call, wide, "--out", tmp_path / "b")
     assert code == 0, error
-    assert "wide: the video says that a pixel is 1.45 times as wide as high" in error
+    assert "wide: the video states that a pixel is 1.45 times as wide as high" in error
     assert json.loads((tmp_path / "b" / "frames.json").read_text())["info"]["pixel_width"] == 1.4545
     code, _, error = skope("eval", "camera", tmp_path / "b", "--out", tmp_path / "camera.json")
     assert code == 2
@@ -426,7 +426,7 @@ def test_each_camera_of_a_file_has_a_road_of_its_own(skope: Any) -> None:
     code, out, err = skope("eval", "pose", "--annotations", "three.json", "--noise", 1, "--out", "p", "-q")
     assert code == 0, err
     assert "of 1 of 3 cameras contradict a level road" in out
-    assert f"in {len(seen[2].images)} images of others have too few vehicles" in out
+    assert f"{len(seen[2].images)} images of others have too few vehicles" in out
     rows = [json.loads(line) for line in Path("p/poses.jsonl").read_text().splitlines()]
     of_part = {image.id: k for k, file in enumerate(numbered(parts)) for image in file.images}
     for k, z in enumerate(heights):
