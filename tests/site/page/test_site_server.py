@@ -227,7 +227,7 @@ def test_a_lens_file_is_kept_as_evidence(serve: Serve) -> None:
         "distortion_coefficients: !!opencv-matrix\n   rows: 1\n   cols: 4\n   dt: d\n   data: [ -0.1, 0., 0., 0. ]\n"
     )
     found = json.loads(ask(served, "/read", {"name": "lens.yml", "text": text})[2])
-    assert "lens alone" in found["said"]
+    assert "only the lens" in found["said"]
     assert "camera" not in found
     assert found["lens"] == {"focal_px": [500.0, 5.0], "k1": [-0.1, 0.02]}  # of 640 pixels in place of 1280
     begun = json.loads(ask(served, "/begin.json")[2])["document"]
