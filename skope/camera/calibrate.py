@@ -1,13 +1,13 @@
-"""A camera from all evidence of a user: marked points, lengths, parallel lines, verticals, known parameters.
+"""Calibrate a camera from all evidence: marked points, lengths, parallel lines, verticals, known parameters.
 
-One least-squares problem, each residual in units of its own standard deviation (Levenberg and Marquardt's method). Its
-covariance gives the uncertainty of each position in the image. Residuals of lines on the road are taken on the road,
-since the marks' errors are carried there. Lens distortion and focal length are always unknown, with a prior of real
-lenses.
+This is one least-squares problem in which each residual is in units of its own standard deviation (Levenberg and
+Marquardt's method). The covariance gives the uncertainty of each position in the image. Residuals of lines on the road
+are measured on the road, because the errors of the marks are projected there. Lens distortion and focal length are
+always unknown, with a prior from real lenses.
 
-Wrong points among the marks are found as sets. A wrong point lies anywhere near its true position, as when the next
-corner of a marking was clicked. The likelihood of each set follows from the evidence under the best camera without it
-(Laplace's approximation). Where several sets are likely, the camera is that of the likeliest, and its covariance
+Wrong points among the marks are searched for as sets. A wrong point lies anywhere near its true position, for example
+at the next corner of a marking. The likelihood of each set follows from the evidence under the best camera without it
+(Laplace's approximation). If several sets are likely, the camera is that of the most likely set, and its covariance
 includes the cameras of the others.
 """
 
@@ -39,22 +39,22 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class WrongPointPrior:
-    """Prior of wrong points among those that people mark, and thresholds of what is reported."""
+    """Prior of wrong points among marked points, and thresholds for reports."""
 
     probability: float = 0.02
     """Prior probability that a marked point is wrong."""
     error_m: tuple[float, float] = (3.5, 30.0)
-    """Standard deviations of a wrong point, metres along x and y. It is off by a lane's width, or lies anywhere."""
+    """Standard deviations of a wrong point, metres along x and y: off by a lane's width, or anywhere."""
     most_points: int = 8
-    """Maximum number of points that are examined: those that the others contradict most."""
+    """Maximum number of examined points: those that the others contradict most."""
     points_per_wrong: int = 4
-    """Number of points for each one that may be wrong."""
+    """Number of points per possibly wrong point."""
     reported: float = 0.05
-    """Probability from which a point is reported as possibly wrong."""
+    """Minimum probability at which a point is reported as possibly wrong."""
     surprising: float = 0.01
-    """Residuals less likely than this widen the covariance."""
+    """Probability of the residuals below which they widen the covariance."""
     other_camera: float = 0.05
-    """Probability from which another camera is reported."""
+    """Minimum probability at which a second camera is reported."""
 
 
 WRONG_POINTS: Final = WrongPointPrior()
@@ -62,22 +62,22 @@ WRONG_POINTS: Final = WrongPointPrior()
 
 @dataclass(frozen=True, eq=False)
 class JudgedPoints:
-    """Likeliest fit without wrong points, and which points these are."""
+    """Most likely fit without wrong points, and the wrong points."""
 
     fit: WeightedFit
-    """The likeliest camera without the wrong points."""
+    """Most likely camera without the wrong points."""
     wrong: tuple[str, ...]
-    """Names of the points that are likeliest to be wrong."""
+    """Names of the points that are most likely wrong."""
     doubts: tuple[str, ...]
-    """Sentences on points that may be wrong besides."""
+    """Sentences on further points that may be wrong."""
     spread: Array
-    """(P, P) what the cameras of other sets of wrong points add to the covariance."""
+    """(P, P) covariance added for the cameras of other sets of wrong points."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Hypothesis:
     wrong: frozenset[int]
-    """Places of the wrong points in the evidence."""
+    """Indices of the wrong points in the evidence."""
     fit: WeightedFit
     log_odds: float
 
@@ -85,18 +85,18 @@ class _Hypothesis:
 def with_wrong_points(
     evidence: Evidence, terms: Sequence[ResidualTerm], fit: WeightedFit, unknown: Sequence[str]
 ) -> JudgedPoints:
-    """The points that are likely to be wrong, and the camera of the others.
+    """Find the points that are probably wrong, and the camera of the others.
 
     Args:
-        evidence: With six points or more.
-        terms: Its terms, those of the points first.
-        fit: The likeliest camera if no point is wrong.
-        unknown: Names of the parameters that are.
+        evidence: Evidence with at least six points.
+        terms: Terms of the evidence, those of the points first.
+        fit: Most likely camera if no point is wrong.
+        unknown: Names of the unknown parameters.
     """
     scales = SEARCH_SCALES[[CAMERA_PARAMETERS.index(name) for name in unknown]]
 
     def hypothesis(wrong: frozenset[int], starts: Sequence[Array]) -> _Hypothesis:
-        """The likeliest of how far aside the wrong points are."""
+        """Return the most likely of the standard deviations of wrong points."""
         tried = []
         for aside in WRONG_POINTS.error_m:
             moved = list(terms)
@@ -149,7 +149,7 @@ def _judged(
 
 
 def _doubts(names: Sequence[str], best: _Hypothesis, found: Sequence[_Hypothesis], share: Array) -> tuple[str, ...]:
-    """Sentences on points that may be wrong besides, or in place of, those of the likeliest set."""
+    """Return sentences on points that may be wrong in addition to, or in place of, those of the most likely set."""
     chance = [
         sum(weight for one, weight in zip(found, share, strict=True) if i in one.wrong) for i in range(len(names))
     ]
@@ -165,12 +165,12 @@ def _doubts(names: Sequence[str], best: _Hypothesis, found: Sequence[_Hypothesis
             f"point {' and '.join(unsure)} contradicts the others and is left out, but may be right: mark it again",
         )
     if others:
-        return (f"point {' or '.join(others)} may be wrong: the others agree better without; mark again",)
+        return (f"point {' or '.join(others)} may be wrong: the others agree better without it; mark it again",)
     return ()
 
 
 def _doubted(fit: WeightedFit, count: int) -> list[int]:
-    """The points without which the cost falls most, for a linear model: r (1 - H)^-1 r, H the projection onto it."""
+    """Return the points that lower the cost most when removed, for a linear model: r (1 - H)^-1 r, H the projection."""
     first = np.cumsum([0, *(len(block) for block in fit.blocks)])
     hat = fit.J @ np.linalg.pinv(fit.J)
     gains = []
@@ -182,7 +182,7 @@ def _doubted(fit: WeightedFit, count: int) -> list[int]:
 
 
 def _pose_without(evidence: Evidence, wrong: frozenset[int]) -> list[Array]:
-    """Values of `CAMERA_PARAMETERS` that the other points alone show."""
+    """Return values of `CAMERA_PARAMETERS` fitted to the points that are not wrong."""
     kept = [point for i, point in enumerate(evidence.points) if i not in wrong]
     if len(kept) < POINT_FIT.fewest_points:
         return []
@@ -199,46 +199,46 @@ FREE_PARAMETERS: Final = ("x", "y", "yaw")
 
 @dataclass(frozen=True)
 class Residual:
-    """Distance of one piece of evidence from the camera that was found."""
+    """Residual of one piece of evidence under the fitted camera."""
 
     kind: str
     """"point", "length", "parallel lines", "vertical" or "belief"."""
     name: str
     value: float
-    """Pixels for points and verticals, metres for lengths, degrees for parallel lines."""
+    """Residual: pixels for points and verticals, metres for lengths, degrees for parallel lines."""
     sigmas: float
-    """The same in standard deviations."""
+    """Residual in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
 class SiteCalibration(UncertainCamera):
-    """A calibrated camera and how well it is known."""
+    """Calibrated camera with its uncertainty."""
 
     residuals: tuple[Residual, ...]
     outliers: tuple[str, ...]
     """Names of points that contradict the others and were left out."""
     warnings: tuple[str, ...]
-    """Sentences on what the evidence leaves open."""
+    """Sentences on what remains uncertain."""
 
 
 # ------------------------------------------------------------------------------------------------------------- solver
 
 
 def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = True) -> SiteCalibration:
-    """The likeliest camera under all evidence, without a point that contradicts the others.
+    """Find the most likely camera under all evidence, without points that contradict the others.
 
     Args:
-        evidence: What is known. Places come out in metres only where points, lengths, a vertical's height or the
-            camera's own are among it.
-        start: A camera to begin with; None: one that the points show, or the best of many.
-        check: Whether points that contradict the others are looked for.
+        evidence: The evidence. Positions are metric only if it contains points, lengths, the height of a vertical or
+            the camera's own height.
+        start: An initial camera; None: one fitted to the points, or the best of many.
+        check: Whether to search for points that contradict the others.
 
     Raises:
-        UserError: There is nothing to tell the scale by, or no camera agrees with the evidence.
+        UserError: The evidence does not determine the scale, or no camera agrees with it.
     """
     scaled = evidence.points or evidence.lengths or any(v.metres for v in evidence.verticals)
     if not scaled and not any("z" in belief.of for belief in evidence.beliefs):
-        raise UserError("calibration: nothing tells metres: mark points with places or a known length")
+        raise UserError("calibration: the scale is unknown: mark points with positions or a known length")
     if 0 < len(evidence.points) < POINT_FIT.fewest_points and not (
         evidence.lengths or evidence.parallels or evidence.beliefs
     ):
@@ -247,7 +247,7 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = 
     terms = terms_of(evidence)
     fit = best_fit(terms, camera_starts(evidence, start, terms), unknown, evidence.size)
     if not math.isfinite(fit.cost):
-        raise UserError("calibration: no camera agrees with what is marked; are two points swapped?")
+        raise UserError("calibration: no camera agrees with the marks; are two points swapped?")
     outliers, doubts, spread = tuple[str, ...](), tuple[str, ...](), np.zeros((len(unknown), len(unknown)))
     if check and len(evidence.points) >= FIT_STARTS.checked_points:
         judged = with_wrong_points(evidence, terms, fit, unknown)
@@ -257,7 +257,7 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = 
         likely, chances = likely_cameras(evidence, terms, fit, unknown)
         fit, spread = likely[0], spread_around(likely[0], likely[1:], chances[1:].tolist(), unknown)
         if chances[0] < 1 - WRONG_POINTS.other_camera:
-            doubts = ("the points suit another camera too: places are as uncertain as both leave them; mark more",)
+            doubts = ("a second camera fits the points, too; the position errors include both: mark more points",)
     camera = camera_of_parameters(fit.at, evidence.size)
     excess = _excess(fit, len(evidence.parallels))
     covariance = excess**2 * fit.covariance(SEARCH_SCALES[[CAMERA_PARAMETERS.index(name) for name in unknown]]) + spread
@@ -266,15 +266,15 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = 
         doubts = (
             *doubts,
             f"the marks contradict each other {excess:.1f} times as much as their own errors explain: stated errors "
-            "are so much wider; is the road no plane, or are marks swapped?",
+            "are widened by this factor; is the road not a plane, or are marks swapped?",
         )
     return replace(calibration, warnings=(*doubts, *_warnings(evidence, calibration)))
 
 
 def _excess(fit: WeightedFit, groups: int) -> float:
-    """Factor by which the residuals are larger than they should be; 1 where that may be chance.
+    """Return the factor by which the residuals are larger than expected; 1 if that may be chance.
 
-    Of each of the `groups` of parallel lines one direction is free.
+    Each of the `groups` of parallel lines has one free direction.
     """
     spare = max(1, len(fit.J) - groups - fit.J.shape[1])
     return math.sqrt(fit.cost / spare) if chi2.sf(fit.cost, spare) < WRONG_POINTS.surprising else 1.0
@@ -304,26 +304,26 @@ def _warnings(evidence: Evidence, calibration: SiteCalibration) -> tuple[str, ..
     if len(places) >= POINT_FIT.fewest_points:
         spread = np.linalg.svd(places[:, :2] - places[:, :2].mean(axis=0), compute_uv=False)
         if spread[1] < 0.1 * spread[0]:
-            out.append("the points lie nearly on one line: places beside it are not known")
+            out.append("the points lie nearly on one line: positions beside it are not known")
         away = np.linalg.norm(places - calibration.camera.position, axis=1)
-        out.append(f"the points lie {away.min():.0f} to {away.max():.0f} m away: places farther off are extrapolated")
+        out.append(f"points are {away.min():.0f} to {away.max():.0f} m away: positions farther off are extrapolated")
     return tuple(out)
 
 
 @dataclass(frozen=True)
 class LeftOutError:
-    """Error of a point that is left out and placed by the others."""
+    """Error of a point that is left out and located by the others."""
 
     error_m: float
-    """Distance from its place, metres; NaN where the others have it above the horizon."""
+    """Distance from its known position, metres; NaN if the others place it above the horizon."""
     stated_m: float
-    """Within so many metres it should lie in 90% of the cases: errors of the others, of its mark and of its place."""
+    """90% bound of the error, metres, from the errors of the others, of the mark and of the known position."""
 
 
 def left_out_errors(evidence: Evidence, calibration: SiteCalibration) -> dict[str, LeftOutError]:
-    """The error of each point by its name, without those that the calibration leaves out.
+    """Return the leave-one-out error of each point by its name, except for points that the others cannot locate.
 
-    A point that is left out of the calibration anyhow is placed by all that are not. Empty where too few would remain.
+    A point that the calibration already leaves out is located by all the others. Empty if too few would remain.
     """
     good = tuple(point for point in evidence.points if point.name not in calibration.outliers)
     out = {}
@@ -343,7 +343,7 @@ def left_out_errors(evidence: Evidence, calibration: SiteCalibration) -> dict[st
 
 
 def left_out_error(point: MarkedPoint, camera: UncertainCamera) -> LeftOutError:
-    """Error of the place that a camera which does not know the point gives its mark, on the plane of its height."""
+    """Return the error of a point's position from its mark, with a camera that was fitted without the point."""
     height = float(point.place[2])
     place = camera.places(point.pixel, height)
     away = place - camera.camera.position

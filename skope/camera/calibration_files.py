@@ -1,9 +1,10 @@
-"""Camera files: skope's own, and those of others (OpenCV's FileStorage, ROS's and Kalibr's YAML, TUMTraf, Rope3D).
+"""Read camera files: skope's own and those of OpenCV (FileStorage), ROS and Kalibr (YAML), TUMTraf and Rope3D.
 
-skope's own is JSON with size, intrinsics, distortion, pose and their uncertainty.
+skope's own format is JSON with size, intrinsics, distortion, pose and their uncertainty.
 
-Other programs count the centre of a pixel as (col, row), `skope.camera.model` as (col + 0.5, row + 0.5): half a pixel
-is added to their principal points. Poses take world points to the camera, x_camera = R x_world + t, metres.
+Other programs place the centre of a pixel at (col, row), `skope.camera.model` at (col + 0.5, row + 0.5). Half a pixel
+is therefore added to their principal points. Poses transform world points to the camera, x_camera = R x_world + t,
+metres.
 """
 
 import math
@@ -28,10 +29,10 @@ from skope.types import Array
 
 
 def is_camera_json(path: Path) -> bool:
-    """Whether a file is a camera of skope's own.
+    """Return whether a file is a camera file of skope.
 
     Raises:
-        UserError: Its name ends in .json, but it holds no JSON.
+        UserError: The name ends in .json, but the file is not valid JSON.
     """
     if path.suffix.lower() != ".json":
         return False
@@ -40,7 +41,7 @@ def is_camera_json(path: Path) -> bool:
 
 
 def camera_of_json(path: Path, document: dict[str, Any]) -> Camera:
-    """The camera of a file's document. Raises UserError naming file and field."""
+    """Return the camera of a file's document. Raise UserError naming file and field."""
     try:
         return Camera.from_dict(document, int(document["width"]), int(document["height"]))
     except (KeyError, TypeError, OverflowError):
@@ -50,10 +51,10 @@ def camera_of_json(path: Path, document: dict[str, Any]) -> Camera:
 
 
 def read_uncertain_camera(path: Path) -> UncertainCamera | None:
-    """The camera of a file with how well it is known; None where the file does not say that.
+    """Read a camera with its uncertainty; None if the file has no covariance.
 
     Raises:
-        UserError: The file cannot be read, or says it wrongly.
+        UserError: The file cannot be read or is invalid.
     """
     if not is_camera_json(path):
         return None
@@ -66,14 +67,14 @@ def uncertain_of_json(path: Path, document: dict[str, Any], camera: Camera) -> U
 
     Args:
         path: The file, for error messages.
-        document: Its content.
-        camera: The camera that it describes.
+        document: Content of the file.
+        camera: The camera of the document.
 
     Returns:
-        The camera with its covariance; None where the document has none.
+        The camera with its covariance; None if the document has none.
 
     Raises:
-        UserError: `covariance` is not one of a camera's parameters.
+        UserError: `covariance` does not describe camera parameters.
     """
     if not isinstance(document.get("covariance"), dict):
         return None
@@ -84,9 +85,9 @@ def uncertain_of_json(path: Path, document: dict[str, Any], camera: Camera) -> U
 
 
 _OPENCV_BEGINS: Final = (b"%YAML", b"<?xml", b"{")
-"""How the files begin that OpenCV reads as they are."""
+"""First bytes of files that OpenCV reads unchanged."""
 YAML_COMMENT: Final = re.compile(r"(^|\s)#[^\"']*$")
-"""A comment in YAML. A # inside quotes begins none."""
+"""Comment in YAML. A # inside quotes does not start a comment."""
 _K_NAMES: Final = ("camera_matrix", "cameraMatrix", "K", "intrinsic_matrix", "M1")
 _DISTORTION_NAMES: Final = (
     *("distortion_coefficients", "distCoeffs", "dist_coeffs", "D", "D1"),
@@ -98,7 +99,7 @@ _TRANSLATION_NAMES: Final = ("tvec", "t", "T", "translation_vector", "translatio
 
 @dataclass(frozen=True, eq=False)
 class CameraCalibration:
-    """A camera as a calibration file describes it; None for what the file does not say."""
+    """Camera of a calibration file; None for missing values."""
 
     K: Array
     """(3, 3) intrinsic matrix in skope's pixels."""
@@ -110,8 +111,15 @@ class CameraCalibration:
 
 
 def read_calibration(path: Path, *, raw: bool = False) -> CameraCalibration:
-    """The calibration in a file whose format its name tells: .yml, .yaml and .xml are OpenCV's, ROS's or Kalibr's,
-    .json TUMTraf's, .txt Rope3D's. Raises UserError naming file and field."""
+    """Read a calibration file. Its format follows from its name.
+
+    .yml, .yaml and .xml are OpenCV's, ROS's or Kalibr's, .json is TUMTraf's and .txt Rope3D's. Raises UserError naming
+    file and field.
+
+    Args:
+        path: The file.
+        raw: Whether the images of TUMTraf are raw, not undistorted; see `read_tumtraf`.
+    """
     suffix = path.suffix.lower()
     if suffix in (".yml", ".yaml", ".xml"):
         return read_opencv(path)
@@ -126,17 +134,17 @@ def read_calibration(path: Path, *, raw: bool = False) -> CameraCalibration:
 
 
 def read_opencv(path: Path) -> CameraCalibration:
-    """A file of `cv2.FileStorage`, as OpenCV's calibration program writes it, or YAML of ROS or Kalibr.
+    """Read a file of `cv2.FileStorage`, as OpenCV's calibration program writes it, or YAML of ROS or Kalibr.
 
-    Read are the intrinsic matrix (`camera_matrix`, `cameraMatrix` or `K`; Kalibr's `intrinsics`),
-    `distortion_coefficients` (`distCoeffs`, `D`), the size (`image_width` and `image_height`, or `image_size`) and,
-    where they stand there, rotation (`rvec` or `R`) and translation (`tvec`, `t` or `T`). `distortion_model`,
+    The function reads the intrinsic matrix (`camera_matrix`, `cameraMatrix` or `K`; Kalibr's `intrinsics`),
+    `distortion_coefficients` (`distCoeffs`, `D`) and the size (`image_width` and `image_height`, or `image_size`). It
+    also reads rotation (`rvec` or `R`) and translation (`tvec`, `t` or `T`) if present. `distortion_model`,
     `fisheye_model` or `camera_model` names the lens model: see `skope.camera.lens_models`.
     """
     import cv2
 
     values = _one_camera(path, _storage(path))
-    lens_models.lens_model(path, values)  # a model that is not known may have other intrinsics
+    lens_models.lens_model(path, values)  # reject unknown models first, because their intrinsics may differ
     K = _first(values, _K_NAMES)
     focal_and_center = values.get("intrinsics")
     if K is None and focal_and_center is not None:
@@ -162,15 +170,15 @@ def read_opencv(path: Path) -> CameraCalibration:
 
 
 def _storage(path: Path) -> dict[str, Any]:
-    """Keys and values of a file. Raises UserError where OpenCV cannot read it."""
+    """Return keys and values of a file. Raise UserError if OpenCV cannot read it."""
     import cv2
 
-    data = read_bytes(path)  # a missing file is a user's error; OpenCV only logs it
+    data = read_bytes(path)  # raises UserError for a missing file, which OpenCV only logs
     address, flags = for_opencv(path), cv2.FILE_STORAGE_READ
     try:
         if not data.startswith(_OPENCV_BEGINS):
             address, flags = _as_opencv_yaml(decoded(data)), flags | cv2.FILE_STORAGE_MEMORY
-        storage = cv2.FileStorage(address, flags)  # its nodes end with it
+        storage = cv2.FileStorage(address, flags)  # its nodes become invalid with it
         root = storage.root()
         return {key: _node(root.getNode(key)) for key in root.keys()}  # noqa: SIM118
     except (cv2.error, SystemError, ValueError):
@@ -180,7 +188,7 @@ def _storage(path: Path) -> dict[str, Any]:
 def _as_opencv_yaml(text: str) -> str:
     """Convert YAML of other programs for OpenCV's reader: with its header, without comments, with indented lists.
 
-    Raises ValueError where the first key is indented more than another one: OpenCV's reader never ends there.
+    Raises ValueError if the first key is indented more than a later one: OpenCV's reader then never returns.
     """
     lines = [YAML_COMMENT.sub("", line).rstrip() for line in text.splitlines() if not line.startswith(("%", "---"))]
     body = textwrap.dedent("\n".join(re.sub(r"^( *)- ", r"\1  - ", line) for line in lines if line))
@@ -190,7 +198,7 @@ def _as_opencv_yaml(text: str) -> str:
 
 
 def _node(node: Any) -> Any:
-    """The value of a node of a FileStorage: a number, text, list, matrix or dict; None for others."""
+    """Return the value of a FileStorage node: a number, text, list, matrix or dict; None for other types."""
     if node.isInt() or node.isReal():
         return node.real()
     if node.isString():
@@ -202,8 +210,8 @@ def _node(node: Any) -> Any:
 
 
 def _matrix(values: Mapping[str, Any]) -> Any:
-    """A matrix of OpenCV or ROS; its data alone where that does not fill rows and columns."""
-    # FileNode.mat() of OpenCV writes beyond its memory where a file gives wrong sizes.
+    """Return a matrix of OpenCV or ROS; only its data if their number does not match rows and columns."""
+    # OpenCV's FileNode.mat() writes out of bounds if a file gives wrong sizes.
     try:
         return np.reshape(values["data"], (int(values["rows"]), int(values["cols"])))
     except (TypeError, ValueError, OverflowError):
@@ -211,7 +219,7 @@ def _matrix(values: Mapping[str, Any]) -> Any:
 
 
 def _one_camera(path: Path, values: dict[str, Any]) -> dict[str, Any]:
-    """The camera of a file; in Kalibr's it has a name. Raises UserError where there are several."""
+    """Return the camera of a file; in Kalibr's it has a name. Raise UserError if there are several."""
     cameras = {key: value for key, value in values.items() if isinstance(value, dict) and "intrinsics" in value}
     if not cameras or _first(values, _K_NAMES) is not None:
         return values
@@ -224,9 +232,9 @@ def _one_camera(path: Path, values: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_tumtraf(path: Path, *, raw: bool = False) -> CameraCalibration:
-    """A calibration file of the TUM Traffic (A9) dataset.
+    """Read a calibration file of the TUM Traffic (A9) dataset.
 
-    Its published images are undistorted: they belong to `optimal_intrinsic_camera_matrix`. With `raw`, the images are
+    Its published images are undistorted and belong to `optimal_intrinsic_camera_matrix`. With `raw`, the images are
     those of the camera: `intrinsic_camera_matrix` and `dist_coefficients` (k1, k2, p1, p2[, k3]). The pose is
     `rotation_matrix` and `translation_matrix`, the size `image_width` and `image_height`; matrices of -1 are unknown.
     """
@@ -244,7 +252,7 @@ def read_tumtraf(path: Path, *, raw: bool = False) -> CameraCalibration:
     K, size = _intrinsics(path, name, values[name]), _size(path, None if width is None else [width, height])
     lens = Distortion()
     if not undistorted:
-        # The dataset's own files name no model: it is Brown's.
+        # The dataset's own files name no model; they use Brown's.
         named = {"distortion_model": "brown"} if lens_models.lens_model(path, values) is None else values
         lens = _distortion(path, values.get("dist_coefficients", ()), named, K=K, size=size)
     return CameraCalibration(K, lens, size, _pose(path, R, t) if has_pose else None)
@@ -254,7 +262,7 @@ def read_tumtraf(path: Path, *, raw: bool = False) -> CameraCalibration:
 
 
 def read_rope3d(path: Path) -> CameraCalibration:
-    """A file of Rope3D's (KITTI's) `calib` folder: the line `P2:` with the twelve numbers of K [I | 0].
+    """Read a file of Rope3D's (KITTI's) `calib` folder: the line `P2:` with the twelve numbers of K [I | 0].
 
     The pose comes from the plane in the file of the same name in `denorm`: see `read_plane` and `over_plane`.
     """
@@ -269,7 +277,7 @@ def read_rope3d(path: Path) -> CameraCalibration:
 
 
 def read_plane(path: Path) -> Array:
-    """(4,) a, b, c, d of the road a x + b y + c z + d = 0 in the camera frame, as Rope3D's `denorm` files have it."""
+    """Read (4,) a, b, c, d of the road a x + b y + c z + d = 0 in the camera frame from a `denorm` file of Rope3D."""
     plane = _numbers(path, "plane", read_text(path), 4)
     length = float(np.linalg.norm(plane[:3]))
     if length < 1e-9:
@@ -278,30 +286,30 @@ def read_plane(path: Path) -> Array:
 
 
 def over_plane(plane: ArrayLike, *, position: tuple[float, float], yaw: float, ground: float = 0.0) -> Array:
-    """(4, 4) T_camera_world of a camera that sees the road as a plane ax + by + cz + d = 0 in its own frame.
+    """Return (4, 4) T_camera_world of a camera from the road plane ax + by + cz + d = 0 in its own frame.
 
     The normal may point up or down.
 
     Args:
-        plane: (4,) a, b, c, d of the road in the camera's frame, of unit normal (a, b, c); d is the camera's height in
-            metres where the normal points up.
+        plane: (4,) a, b, c, d of the road in the camera's frame, with unit normal (a, b, c). If the normal points up, d
+            is the camera's height in metres.
         position: World x and y of the camera, metres.
-        yaw: Direction in which it looks, from world x towards y, radians.
+        yaw: Viewing direction, from world x towards y, radians.
         ground: World height of the road, metres.
 
     Returns:
         (4, 4) T_camera_world, metres.
 
     Raises:
-        UserError: The camera lies under the road.
+        UserError: The camera is below the road.
     """
     *normal, height = np.asarray(plane, dtype=np.float64)
     up = np.asarray(normal)
-    # Normals are written pointing up; y points down in the camera.
+    # The normal is flipped to point up; y points down in the camera frame.
     if up[1] > 0:
         up, height = -up, -height
     if height <= 0:
-        raise UserError(f"plane: the camera lies {-height:.2f} m under the road")
+        raise UserError(f"plane: the camera is {-height:.2f} m below the road")
     ahead = np.array([0.0, 0.0, 1.0]) - up[2] * up
     ahead /= np.linalg.norm(ahead)
     left = np.cross(up, ahead)
@@ -379,7 +387,7 @@ def _pose(path: Path, R: Any, t: Any) -> Array:
         raise UserError(f"{path}: rotation, translation: expected 3x3 and 3 numbers")
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-2 or np.linalg.det(rotation) < 0:
         raise UserError(f"{path}: rotation: not a rotation matrix")
-    # Files have few digits: the nearest rotation.
+    # Files have few digits, so the nearest rotation is used.
     u, _, v = np.linalg.svd(rotation)
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = u @ v, translation

@@ -1,4 +1,4 @@
-"""Marks that a user sets in an image to calibrate a camera, with how exactly each is known.
+"""Marks that a user sets in an image to calibrate a camera, with their standard deviations.
 
 Pixels count the centre of a pixel as (col + 0.5, row + 0.5), metres are the world's; the road is its plane z = 0.
 """
@@ -21,11 +21,11 @@ class MarkingErrors:
     """Default standard deviations of marks."""
 
     pixel: float = 1.5
-    """Of a point marked in an image, pixels per axis."""
+    """Standard deviation of a point marked in an image, pixels per axis."""
     place_m: float = 0.1
-    """Of a position read off a map or surveyed, metres along x and y."""
+    """Standard deviation of a position read off a map or surveyed, metres along x and y."""
     height_m: float = 0.03
-    """Of the road's height over its plane, metres."""
+    """Standard deviation of the road's height over its plane, metres."""
 
 
 MARKING_ERRORS: Final = MarkingErrors()
@@ -33,17 +33,17 @@ MARKING_ERRORS: Final = MarkingErrors()
 
 @dataclass(frozen=True, eq=False)
 class MarkedPoint:
-    """A point whose place in the world is known."""
+    """Point with a known position in the world."""
 
     pixel: Array
-    """(2,) pixels."""
+    """(2,) position in the image, pixels."""
     place: Array
-    """(3,) metres."""
+    """(3,) position in the world, metres."""
     sigma_px: float = MARKING_ERRORS.pixel
     sigma_m: float = MARKING_ERRORS.place_m
-    """Of x and y, metres."""
+    """Standard deviation of x and y, metres."""
     sigma_z_m: float = MARKING_ERRORS.height_m
-    """Of z, metres; more for points above the road whose heights were not measured well."""
+    """Standard deviation of z, metres; larger for points above the road with inaccurate heights."""
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -53,10 +53,10 @@ class MarkedPoint:
 
 @dataclass(frozen=True, eq=False)
 class MarkedLength:
-    """A distance along the road, such as the length of a marking or the width of a lane."""
+    """Known distance along the road, for example the length of a marking or the width of a lane."""
 
     pixels: Array
-    """(2, 2) its ends, pixels."""
+    """(2, 2) end points, pixels."""
     metres: float
     sigma_m: float = 0.05
     sigma_px: float = MARKING_ERRORS.pixel
@@ -69,10 +69,10 @@ class MarkedLength:
 
 @dataclass(frozen=True, eq=False)
 class ParallelLines:
-    """Two or more lines on the road that are parallel to one another."""
+    """Two or more parallel lines on the road."""
 
     lines: Array
-    """(L, 2, 2) two points of each, pixels."""
+    """(L, 2, 2) two points per line, pixels."""
     sigma_px: float = MARKING_ERRORS.pixel
     name: str = ""
 
@@ -85,12 +85,12 @@ class ParallelLines:
 
 @dataclass(frozen=True, eq=False)
 class Vertical:
-    """Something upright that stands on the road: a post, the corner of a house."""
+    """Upright object on the road, for example a post or the corner of a house."""
 
     pixels: Array
-    """(2, 2) its foot and its top, pixels."""
+    """(2, 2) foot and top, pixels."""
     metres: float | None = None
-    """Its height, if that is known."""
+    """Height, metres; None: not known."""
     sigma_m: float = 0.1
     sigma_px: float = MARKING_ERRORS.pixel
     name: str = ""
@@ -102,14 +102,14 @@ class Vertical:
 
 @dataclass(frozen=True, eq=False)
 class CameraPrior:
-    """A Gaussian that something else says of a camera: its vehicles, its maker, somebody with a ladder."""
+    """Gaussian prior on camera parameters, for example from vehicle sizes, a data sheet or a measured height."""
 
     of: tuple[str, ...]
     """Names in `skope.camera.uncertain_camera.CAMERA_PARAMETERS`."""
     mean: Array
-    """(M,) in their units."""
+    """(M,) means, in the units of the parameters."""
     covariance: Array
-    """(M, M)"""
+    """(M, M) covariance."""
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -120,11 +120,11 @@ class CameraPrior:
 
     @classmethod
     def of_fov(cls, fov_deg: float, sigma_deg: float, width: int) -> "CameraPrior":
-        """Believe in a horizontal field of view.
+        """Return a prior of the horizontal field of view.
 
         Args:
             fov_deg: Full horizontal field of view before distortion, degrees.
-            sigma_deg: Its standard deviation, degrees.
+            sigma_deg: Standard deviation of the field of view, degrees.
             width: Width of the images, pixels.
 
         Returns:
@@ -138,20 +138,20 @@ class CameraPrior:
 
     @classmethod
     def of_height(cls, metres: float, sigma_m: float) -> "CameraPrior":
-        """The camera's height over the road."""
+        """Return a prior of the camera's height over the road, metres."""
         return cls(("z",), np.array([metres]), np.array([[sigma_m**2]]), "height")
 
     @classmethod
     def of_lens(cls, focal_px: float, sigma_px: float, k1: tuple[float, float] | None) -> "CameraPrior":
-        """Believe in a focal length, and in a lens distortion where it is known.
+        """Return a prior of the focal length and, if known, of the lens distortion.
 
         Args:
             focal_px: Focal length, pixels.
-            sigma_px: Its standard deviation, pixels.
-            k1: First coefficient of the radial distortion and its standard deviation; None: nothing is known of it.
+            sigma_px: Standard deviation of the focal length, pixels.
+            k1: First coefficient of the radial distortion and its standard deviation; None: unknown.
 
         Returns:
-            A Gaussian of the logarithm of the focal length and, where given, of k1, independent of each other.
+            A Gaussian of the logarithm of the focal length and, if given, of k1, independent of each other.
         """
         rows = [("focal", math.log(focal_px), sigma_px / focal_px), *([("k1", *k1)] if k1 else [])]
         names, mean, sigmas = zip(*rows, strict=True)
@@ -160,7 +160,7 @@ class CameraPrior:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Everything that is known of a camera whose images have one size."""
+    """All evidence on a camera with images of one size."""
 
     size: tuple[int, int]
     """Width and height of the images, pixels."""
@@ -176,7 +176,7 @@ def _named(kind: str, name: str) -> str:
 
 
 def _floats(record: object, kind: str, label: str, **shapes: tuple[int, ...]) -> None:
-    """Make fields float arrays of these shapes; -1 stands for any length."""
+    """Convert fields to float arrays of these shapes; -1 means any length."""
     for name, shape in shapes.items():
         try:
             value = np.asarray(getattr(record, name), dtype=np.float64)
@@ -197,18 +197,18 @@ def _positive(record: object, kind: str, label: str, *names: str) -> None:
 
 
 def marked_points(pixels: ArrayLike, places: ArrayLike, names: Iterable[str] = ()) -> tuple[MarkedPoint, ...]:
-    """Points (N, 2) pixels and (N, 3) metres, marked as exactly as people do.
+    """Return marked points with the default standard deviations of manual marks.
 
     Args:
         pixels: (N, 2) pixels.
-        places: (N, 3) places in the world, metres.
+        places: (N, 3) positions in the world, metres.
         names: N names; none: the points are numbered from 1.
 
     Returns:
-        N points with the standard deviations that `MarkedPoint` has by default.
+        N points with the default standard deviations of `MarkedPoint`.
 
     Raises:
-        ValueError: There are not as many places, or names, as pixels.
+        ValueError: The numbers of positions or names and of pixels differ.
     """
     labels = list(names) or [str(i + 1) for i in range(len(np.asarray(pixels)))]
     rows = zip(np.asarray(pixels), np.asarray(places), labels, strict=True)

@@ -1,6 +1,6 @@
-"""Pieces of evidence as residuals of a camera, each with the covariance that its marks' errors give it.
+"""Evidence as residuals of a camera, each with the covariance from the errors of its marks.
 
-Residuals of lines on the road are taken on the road, since the marks' errors are carried there.
+Residuals of lines on the road are measured on the road, because the errors of the marks are projected there.
 """
 
 import math
@@ -17,7 +17,7 @@ from skope.camera.uncertain_camera import CAMERA_PARAMETERS, slopes, values_of
 from skope.types import Array
 
 LENS_PRIORS: Final = (("k1", -0.1, 0.2), ("roll", 0.0, 0.2), ("focal", None, 1.0))
-"""Parameter, mean and standard deviation of roadside cameras. None: a focal length of the image's width. Most
+"""Parameter, mean and standard deviation for roadside cameras. None: a focal length of one image width. Most
 lenses lie between a rectilinear one (k1 = 0) and an equidistant fisheye: tan a - (tan a)^3 / 3 is nearly a.
 """
 
@@ -31,11 +31,11 @@ class ResidualTerm:
     residual: Callable[[Camera], Array]
     covariance: Callable[[Camera], Array]
     point: MarkedPoint | None = None
-    """The point that it is of: many of them are projected at once."""
+    """Marked point of the term, if any. All such points are projected at once."""
 
 
 def residuals_of(terms: Sequence[ResidualTerm], camera: Camera) -> list[Array]:
-    """The residuals of each term."""
+    """Return the residuals of each term."""
     points = [term.point for term in terms if term.point is not None]
     off = iter(np.zeros((0, 2)))
     if points:
@@ -45,7 +45,7 @@ def residuals_of(terms: Sequence[ResidualTerm], camera: Camera) -> list[Array]:
 
 
 def covariances_of(terms: Sequence[ResidualTerm], camera: Camera) -> list[Array]:
-    """The covariance of each term's residuals."""
+    """Return the covariance of each term's residuals."""
     points = [term.point for term in terms if term.point is not None]
     spread = iter(np.zeros((0, 2, 2)))
     if points:
@@ -59,7 +59,7 @@ def covariances_of(terms: Sequence[ResidualTerm], camera: Camera) -> list[Array]
 
 
 def point_term(point: MarkedPoint) -> ResidualTerm:
-    """The term of a marked point: pixels from where the camera sees its place."""
+    """Return the term of a marked point: its distance in pixels from the projection of its position."""
     term = ResidualTerm(
         "point",
         point.name,
@@ -86,22 +86,22 @@ def _length_term(length: MarkedLength) -> ResidualTerm:
 
 def _parallel_term(group: ParallelLines) -> ResidualTerm:
     def directions(camera: Camera) -> Array:
-        """(L, 2) from one end of each line to the other, metres."""
+        """Return (L, 2) vectors from one end of each line to the other, metres."""
         ends = intersect_ground(camera, group.lines)[..., :2]
         return np.asarray(ends[:, 1] - ends[:, 0])
 
     def variances(camera: Camera, way: Array) -> Array:
-        """(L,) of the lines' angles, square radians."""
+        """Return (L,) variances of the lines' angles, square radians."""
         across = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.maximum((way**2).sum(axis=-1), 1e-9)[:, None]
         by_marks = np.einsum("li,leij->lej", across, ground_jacobian(camera, group.lines))
         return _finite(group.sigma_px**2 * (by_marks**2).sum(axis=(1, 2)))
 
     def residual(camera: Camera) -> Array:
-        """Angles from their mean: where a camera is far from right, the mean moves, not the lines."""
+        """Return the angles from their mean. With a very wrong camera, the mean moves and not the lines."""
         way = directions(camera)
         weight = 1 / np.maximum(variances(camera, way), 1e-12)
         angles = np.arctan2(way[:, 1], way[:, 0])
-        # Lines have no direction: those that were drawn the other way round are turned.
+        # Lines have no direction, so those that were drawn in the opposite direction are reversed.
         angles = angles[0] + np.mod(angles - angles[0] + np.pi / 2, np.pi) - np.pi / 2
         return _finite(angles - (weight * angles).sum() / weight.sum())
 
@@ -115,7 +115,7 @@ def _vertical_term(vertical: Vertical) -> ResidualTerm:
     foot, top = vertical.pixels
 
     def line(camera: Camera) -> tuple[Array, Array]:
-        """Unit vector of the vertical in the image near its top, and pixels that a metre of it is long there."""
+        """Return the unit vector of the vertical in the image near its top, and the pixels per metre there."""
         place = intersect_ground(camera, foot)
         ray = camera.rays(top)[0] @ camera.T_camera_world[:3, :3]
         flat = float(np.linalg.norm((place - camera.position)[:2])) / max(float(np.linalg.norm(ray[:2])), 1e-9)
@@ -164,5 +164,5 @@ def terms_of(evidence: Evidence) -> list[ResidualTerm]:
 
 
 def _finite(values: Array) -> Array:
-    """Residuals of cameras that do not see what is marked are large, not NaN."""
+    """Replace residuals that are NaN, because the camera does not see a mark, by large ones."""
     return np.asarray(np.where(np.isfinite(values), values, 1e3))

@@ -1,4 +1,4 @@
-"""Places on the Earth as metres of a plane near them: WGS84's longitude and latitude, and UTM's grid."""
+"""Convert positions on the Earth to metres of a local plane: WGS84 longitude and latitude, and UTM."""
 
 import math
 from collections.abc import Callable
@@ -39,10 +39,10 @@ WGS84_ELLIPSOID: Final = Ellipsoid()
 
 
 def local_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, origin_deg: tuple[float, float]) -> Array:
-    """(..., 2) metres east and north of an origin (longitude, latitude), in the plane that touches the ellipsoid there.
+    """Return (..., 2) metres east and north of an origin (longitude, latitude), in the ellipsoid's tangent plane there.
 
-    Closed form, through Cartesian coordinates of the Earth. Over 1 km the plane and the ellipsoid differ by 8 cm in
-    height, and lengths by less than a millimetre.
+    The formula is closed, through Cartesian coordinates of the Earth. Over 1 km the plane and the ellipsoid differ by
+    8 cm in height, and lengths by less than a millimetre.
 
     Args:
         longitude_deg: (...) longitudes, degrees.
@@ -57,7 +57,7 @@ def local_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, origin_deg: 
 
 
 def _cartesian(longitude_deg: ArrayLike, latitude_deg: ArrayLike) -> Array:
-    """(..., 3) metres from the Earth's middle, of places on the ellipsoid."""
+    """Return (..., 3) metres from the Earth's centre, of positions on the ellipsoid."""
     turn, tilt = np.radians(longitude_deg), np.radians(latitude_deg)
     across = WGS84_ELLIPSOID.radius_m / np.sqrt(1 - WGS84_ELLIPSOID.eccentricity_2 * np.sin(tilt) ** 2)
     return np.stack(
@@ -71,16 +71,16 @@ def _cartesian(longitude_deg: ArrayLike, latitude_deg: ArrayLike) -> Array:
 
 
 def utm_scale(easting: float, northing: float, *, south: bool = False) -> float:
-    """Metres of UTM's grid for a metre on the ellipsoid at a place, also outside the zone's usual width.
+    """Return the metres of UTM's grid per metre on the ellipsoid, also outside the zone's usual width.
 
-    Snyder, Map Projections (1987), equation 8-11, with the radii of curvature at the latitude that the northing says.
+    Snyder, Map Projections (1987), equation 8-11, with the radii of curvature at the latitude of the northing.
 
     Args:
-        easting: Easting of the place in the zone's grid, metres.
-        northing: Its northing, metres.
-        south: The zone is of the southern hemisphere, whose northings count from 10 000 km south of the equator.
+        easting: Easting in the zone's grid, metres.
+        northing: Northing in the zone's grid, metres.
+        south: Whether the zone is in the southern hemisphere, where northings start 10 000 km south of the equator.
     """
-    # The latitude to a tenth of a degree is enough: the radius follows it slowly.
+    # A latitude within a tenth of a degree is accurate enough, because the radius changes slowly.
     tilt = ((northing - WGS84_ELLIPSOID.utm_south_m) if south else northing) / (WGS84_ELLIPSOID.utm_scale * 6367449.0)
     across = WGS84_ELLIPSOID.radius_m / math.sqrt(1 - WGS84_ELLIPSOID.eccentricity_2 * math.sin(tilt) ** 2)
     along = across * (1 - WGS84_ELLIPSOID.eccentricity_2) / (1 - WGS84_ELLIPSOID.eccentricity_2 * math.sin(tilt) ** 2)
@@ -89,7 +89,7 @@ def utm_scale(easting: float, northing: float, *, south: bool = False) -> float:
 
 
 def utm_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, zone: int, *, south: bool = False) -> Array:
-    """(..., 2) easting and northing of places in the grid of a UTM zone, also outside its usual width.
+    """Return (..., 2) easting and northing of positions in the grid of a UTM zone, also outside its usual width.
 
     Krueger's series in the third flattening to its fourth power (Karney, Transverse Mercator with an accuracy of a few
     nanometers, 2011, equations 7 to 10, 14 and 35), which is exact to a micrometre within 1000 km of the zone's middle.
@@ -98,7 +98,7 @@ def utm_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, zone: int, *, 
         longitude_deg: (...) longitudes, degrees.
         latitude_deg: (...) latitudes, degrees.
         zone: Number of the zone, 1 to 60.
-        south: Northings are those of the southern hemisphere, which count from 10 000 km south of the equator.
+        south: Whether northings are of the southern hemisphere, where they start 10 000 km south of the equator.
     """
     turn = np.radians(np.asarray(longitude_deg, dtype=np.float64) - (6 * zone - 183))
     sine, e, n = (
@@ -127,15 +127,15 @@ def utm_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, zone: int, *, 
 
 
 def geographic(metres: ArrayLike, forward: Callable[[Array, Array], Array], near_deg: tuple[float, float]) -> Array:
-    """(..., 2) longitude and latitude, degrees, of places in metres: the inverse of a projection, by Newton's method.
+    """Return (..., 2) longitude and latitude, degrees, of positions in metres: invert a projection by Newton's method.
 
     Args:
-        metres: (..., 2) places in the projection's plane.
-        forward: Takes longitudes and latitudes (...,) to (..., 2) metres, as `local_metres` and `utm_metres` do.
-        near_deg: A longitude and latitude within some degrees of all places.
+        metres: (..., 2) positions in the projection's plane.
+        forward: Function from longitudes and latitudes (...,) to (..., 2) metres, as `local_metres` and `utm_metres`.
+        near_deg: A longitude and latitude within some degrees of all positions.
 
     Raises:
-        ValueError: It does not come to an end: the places lie too far away.
+        ValueError: The method does not converge, because the positions are too far away.
     """
     wanted = np.asarray(metres, dtype=np.float64)
     found = np.broadcast_to(np.asarray(near_deg, dtype=np.float64), wanted.shape).copy()
@@ -151,4 +151,4 @@ def geographic(metres: ArrayLike, forward: Callable[[Array, Array], Array], near
             moved[..., axis] += WGS84_ELLIPSOID.newton_deg
             columns.append((forward(moved[..., 0], moved[..., 1]) - off - wanted) / WGS84_ELLIPSOID.newton_deg)
         found -= np.linalg.solve(np.stack(columns, axis=-1), off[..., None])[..., 0]
-    raise ValueError("these places are not where the projection is good")
+    raise ValueError("the inverse projection does not converge: the positions are too far away")

@@ -1,4 +1,4 @@
-"""The road as a plane, and where a camera's rays meet it."""
+"""The road as a plane, and the intersection of a camera's rays with it."""
 
 import math
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ class GroundRays:
     step_px: float = 0.25
     """Step of numerical derivatives, pixels."""
     grazing_fall: float = 1e-6
-    """A ray that falls by less than this share of its length is parallel to the plane."""
+    """Fall of a ray per length below which it counts as parallel to the plane."""
 
 
 GROUND_RAYS: Final = GroundRays()
@@ -29,7 +29,7 @@ AROUND_PIXEL: Final = GROUND_RAYS.step_px * np.array([[1.0, 0.0], [-1.0, 0.0], [
 
 @dataclass(frozen=True)
 class Ground:
-    """The road near the camera: a plane in the world, and how far vehicles deviate from it."""
+    """Road near the camera: a plane in the world, and the deviation of vehicles from it."""
 
     height: float = 0.0
     """z of the plane at `about`, metres."""
@@ -39,7 +39,7 @@ class Ground:
     """Standard deviation of the lean of a vehicle's upright axis from the plane's normal, radians: bumps and the
     suspension."""
     slope: tuple[float, float] = (0.0, 0.0)
-    """Metres that the plane rises per metre along world x and y."""
+    """Rise of the plane per metre along world x and y."""
     about: tuple[float, float] = (0.0, 0.0)
     """World x and y of the point at which the plane has `height`, metres."""
 
@@ -49,7 +49,7 @@ class Ground:
         return self.slope == (0.0, 0.0)
 
     def heights(self, xy: Array) -> Array:
-        """(...,) z of the plane at positions (..., 2), metres."""
+        """Return (...,) z of the plane at positions (..., 2), metres."""
         return np.asarray(self.height + (xy - np.asarray(self.about)) @ np.asarray(self.slope))
 
     @property
@@ -72,16 +72,16 @@ def intersect_ground(
     about: ArrayLike = (0.0, 0.0),
     least_fall: float | None = None,
 ) -> Array:
-    """(..., 3) where pixels (..., 2) lie on a plane of the world, metres; NaN at and above its horizon.
+    """Return (..., 3) the points of pixels (..., 2) on a plane of the world, metres; NaN at or above its horizon.
 
     Args:
-        camera: What took the image.
-        pixels: (..., 2)
-        height: z of the plane at `about`, metres; or (...) of a plane for each pixel.
-        slope: (2,) metres that the plane rises per metre along x and y.
+        camera: The camera of the image.
+        pixels: (..., 2) pixels.
+        height: z of the plane at `about`, metres; or (...) one per pixel.
+        slope: (2,) rise of the plane per metre along x and y.
         about: (2,) world x and y, metres; or (..., 2).
-        least_fall: Rays fall by at least so much per metre along the camera's axis, so that pixels above the horizon
-            have places too, far away: what searches for a camera needs numbers everywhere.
+        least_fall: Minimum fall of rays per metre along the camera's axis. Pixels above the horizon then have distant
+            points, because a search for a camera needs finite values.
     """
     rays, valid = camera.rays(pixels)
     directions, eye = rays @ camera.T_camera_world[:3, :3], camera.position
@@ -104,19 +104,19 @@ def ground_jacobian(
     slope: ArrayLike = (0.0, 0.0),
     about: ArrayLike = (0.0, 0.0),
 ) -> Array:
-    """(..., 2, 2) derivatives of `intersect_ground` by the pixels (..., 2), metres per pixel.
+    """Return (..., 2, 2) derivatives of `intersect_ground` by the pixels (..., 2), metres per pixel.
 
-    By central differences, of all pixels at once: a search asks for these thousands of times.
+    Central differences of all pixels at once, because a search needs these thousands of times.
 
     Args:
-        camera: What took the image.
-        pixels: (..., 2)
-        height: z of the plane at `about`, metres; or (...) of a plane for each pixel.
-        slope: (2,) metres that the plane rises per metre along x and y.
+        camera: The camera of the image.
+        pixels: (..., 2) pixels.
+        height: z of the plane at `about`, metres; or (...) one per pixel.
+        slope: (2,) rise of the plane per metre along x and y.
         about: (2,) world x and y, metres; or (..., 2).
 
     Returns:
-        (..., 2, 2) x and y by pixel u and v; NaN at and above the horizon.
+        (..., 2, 2) x and y by pixel u and v; NaN at or above the horizon.
     """
     around = pixels + AROUND_PIXEL.reshape(4, *(1,) * (pixels.ndim - 1), 2)
     places = intersect_ground(camera, around, height, slope=slope, about=about)[..., :2]

@@ -1,4 +1,4 @@
-"""Names of lens models in the calibration files of other programs, and which of skope's models each is."""
+"""Map names of lens models in the calibration files of other programs to skope's models."""
 
 import re
 import warnings
@@ -21,7 +21,7 @@ _MODEL_OF: Final = {
     **dict.fromkeys((*BROWN_NAMES, "brown_conrady", "radial_tangential", "full_opencv"), "brown"),
     **dict.fromkeys(("none", "no_distortion"), "none"),
 }
-"""Each name with its model: ROS's, Kalibr's, OpenCV's, COLMAP's, ORB-SLAM's and RealSense's."""
+"""Lens model by name, as in ROS, Kalibr, OpenCV, COLMAP, ORB-SLAM and RealSense."""
 _MODEL_OF_LETTERS: Final = {name.replace("_", ""): model for name, model in _MODEL_OF.items()}
 PROJECTION_NAMES: Final = ("", "pinhole", "simplepinhole", "perspective")
 """Names that do not determine the distortion, without underscores."""
@@ -34,17 +34,17 @@ SHARED_COUNT: Final = 4
 
 
 def lens_model(path: Path, values: Mapping[str, Any]) -> str | None:
-    """Find the lens model that a calibration file names.
+    """Return the lens model that a calibration file names.
 
     Args:
         path: The file, for messages.
-        values: Its keys and values.
+        values: Keys and values of the file.
 
     Returns:
-        "fisheye", "brown" or "none"; None where the file names no model.
+        "fisheye", "brown" or "none"; None if the file names no model.
 
     Raises:
-        UserError: A name is not known, or two names contradict each other.
+        UserError: A name is unknown, or two names contradict each other.
     """
     found: dict[str, str] = {}
     unknown = []
@@ -73,24 +73,24 @@ def lens_model(path: Path, values: Mapping[str, Any]) -> str | None:
 def distortion(
     path: Path, coefficients: Array, values: Mapping[str, Any], *, K: Array, size: tuple[int, int] | None
 ) -> Distortion:
-    """Lens distortion of a calibration file by the model that it names.
+    """Return the lens distortion of a calibration file, with the model that it names.
 
-    OpenCV's own files name no model: more than four coefficients can only be Brown's. Four are taken for Brown's too,
+    OpenCV's own files name no model. More than four coefficients can only be Brown's. Four are also read as Brown's,
     with an `AssumptionWarning`.
 
     Args:
         path: The file, for messages.
-        coefficients: (N,) in OpenCV's order; none: N is 0.
-        values: Its keys and values.
+        coefficients: (N,) in OpenCV's order; N is 0 without distortion.
+        values: Keys and values of the file.
         K: (3, 3) intrinsic matrix in skope's pixels.
         size: Width and height of the image, pixels; None: twice the principal point.
 
     Raises:
-        UserError: The model is not known, it takes another number of coefficients, or it is not named and the four
-            coefficients are clearly a fisheye lens's.
+        UserError: The model is unknown, its number of coefficients differs, or no model is named and the four
+            coefficients clearly belong to a fisheye lens.
     """
     model = lens_model(path, values)
-    # OpenCV writes a tilted sensor's two angles too; without tilt they are zero.
+    # OpenCV also writes the two angles of a tilted sensor; without tilt they are zero.
     if len(coefficients) == 14 and not coefficients[12:].any():
         coefficients = coefficients[:12]
     if not coefficients.any() and model != "fisheye":
@@ -108,7 +108,7 @@ def distortion(
 
 
 def _assume_brown(path: Path, coefficients: Array, K: Array, size: tuple[int, int] | None) -> None:
-    """Warn that four coefficients are taken for Brown's; UserError where only a fisheye lens can have them."""
+    """Warn that four coefficients are read as Brown's; raise UserError if only a fisheye lens can have them."""
     width, height = size or (2 * K[0, 2], 2 * K[1, 2])
     x, y = np.meshgrid([0.0, width / 2, width], [0.0, height / 2, height])
     border = np.linalg.solve(K, np.stack([x.ravel(), y.ravel(), np.ones(x.size)]))[:2].T
@@ -130,7 +130,7 @@ def _assume_brown(path: Path, coefficients: Array, K: Array, size: tuple[int, in
 
 
 def _model_of(key: str, value: Any) -> str | None:
-    """The model that a key names; "" where it names none, None where the name is not known."""
+    """Return the model that a key names; "" if it names none, None if the name is unknown."""
     if value is None:
         return ""
     if key == "fisheye_model" and isinstance(value, int | float):

@@ -21,7 +21,7 @@ from skope.types import Array, Mask
 
 DISTORTION_MODELS: Final = ("none", "brown", "fisheye")
 COEFFICIENT_COUNTS: Final = {"none": (0,), "brown": (4, 5, 8, 12), "fisheye": (4,)}
-"""Numbers of coefficients of each distortion model."""
+"""Possible numbers of coefficients of each distortion model."""
 
 
 @dataclass(frozen=True)
@@ -29,25 +29,23 @@ class CameraNumerics:
     """Numerical limits of projection."""
 
     near_m: float = 1e-6
-    """Least depth of a point before the camera, metres."""
+    """Minimum depth of a point in front of the camera, metres. Nearer points count as behind it."""
     same_aspect: float = 0.01
-    """Largest relative difference of two aspect ratios that count as equal."""
+    """Maximum relative difference of two aspect ratios that count as equal."""
     block: int = 1 << 13
-    """Number of points that are distorted at once."""
+    """Number of points that are distorted per block."""
 
 
 CAMERA_NUMERICS: Final = CameraNumerics()
 
-"""Points nearer than this to the camera's plane count as behind it."""
-
 
 def same_aspect(size: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether two images (width, height) have the same aspect ratio, within 1%."""
+    """Return whether two images (width, height) have the same aspect ratio, within 1%."""
     return abs(size[0] * other[1] - other[0] * size[1]) <= CAMERA_NUMERICS.same_aspect * size[0] * other[1]
 
 
 def _first_positive_root(coefficients: list[float]) -> float:
-    """Smallest positive real root of a polynomial (constant term first); inf when there is none."""
+    """Return the smallest positive real root of a polynomial (constant term first); inf if there is none."""
     roots = np.polynomial.Polynomial(coefficients).roots()
     real = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)]
     return float(real.min()) if real.size else math.inf
@@ -55,7 +53,7 @@ def _first_positive_root(coefficients: list[float]) -> float:
 
 @dataclass(frozen=True)
 class Distortion:
-    """Lens distortion of normalised image coordinates, invertible inside its monotonic domain only."""
+    """Lens distortion of normalised image coordinates, invertible only inside its monotonic domain."""
 
     model: str = "none"
     coefficients: tuple[float, ...] = ()
@@ -77,14 +75,14 @@ class Distortion:
 
     @cached_property
     def fold(self) -> float:
-        """Radius at which the radial model stops growing: tan(theta) for brown, an angle for fisheye; inf: nowhere."""
+        """Radius where the radial model stops growing: tan(theta) for brown, an angle for fisheye; inf if never."""
         if self.model == "none":
             return math.inf
         if self.model == "fisheye":
             k1, k2, k3, k4 = self.coefficients
             return math.sqrt(_first_positive_root([1, 3 * k1, 5 * k2, 7 * k3, 9 * k4]))
         k1, k2, _, _, k3, k4, k5, k6, *_ = self._brown()
-        if not (k2 or k3 or k4 or k5 or k6):  # as where cameras are searched for, thousands of times
+        if not (k2 or k3 or k4 or k5 or k6):  # fast path for camera searches, which need this thousands of times
             return math.sqrt(-1 / (3 * k1)) if k1 < 0 else math.inf
         # r * N(q) / D(q) with q = r^2 grows while N D + 2 q (N' D - N D') > 0; it also ends at a pole of D.
         poly = np.polynomial.Polynomial
@@ -93,7 +91,7 @@ class Distortion:
         return math.sqrt(min(_first_positive_root(list(growth.coef)), _first_positive_root(list(d.coef))))
 
     def _brown_forward(self, x: Array, y: Array) -> tuple[Array, Array, "_Jacobian"]:
-        """Ideal x and y (N,) -> distorted x and y (N,), and what they change by."""
+        """Distort ideal x and y (N,); return distorted x and y (N,) and their Jacobian."""
         k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = self._brown()
         q = x * x + y * y
         n, d = 1 + q * (k1 + q * (k2 + q * k3)), 1 + q * (k4 + q * (k5 + q * k6))
@@ -112,14 +110,14 @@ class Distortion:
         return distorted_x, distorted_y, jacobian
 
     def _fisheye_radius(self, theta: Array) -> tuple[Array, Array]:
-        """Distorted radius at an angle off the axis, and its derivative."""
+        """Return the distorted radius at an angle off the axis, and its derivative."""
         k1, k2, k3, k4 = self.coefficients
         q = theta * theta
         radius = theta * (1 + q * (k1 + q * (k2 + q * (k3 + q * k4))))
         return radius, 1 + q * (3 * k1 + q * (5 * k2 + q * (7 * k3 + q * 9 * k4)))
 
     def distort(self, xy: Array) -> tuple[Array, Mask]:
-        """Ideal normalised coordinates x/z, y/z (..., 2) -> distorted ones, and where the model is monotonic."""
+        """Distort ideal normalised coordinates x/z, y/z (..., 2); also return where the model is monotonic."""
         if self.model == "none":
             return xy, np.ones(xy.shape[:-1], dtype=bool)
         return _by_blocks(self._distort_fisheye if self.model == "fisheye" else self._distort_brown, xy)
@@ -136,7 +134,7 @@ class Distortion:
         return distorted_x, distorted_y, (np.hypot(x, y) < self.fold) & (jacobian.determinant > 0)
 
     def undistort(self, xy: Array) -> tuple[Array, Mask]:
-        """Inverse of `distort` by Newton's method: (..., 2) -> (..., 2), and where a monotonic ideal point exists."""
+        """Invert `distort` by Newton's method: (..., 2) -> (..., 2), and where a monotonic ideal point exists."""
         if self.model == "none":
             return xy, np.ones(xy.shape[:-1], dtype=bool)
         return _by_blocks(self._undistort_fisheye if self.model == "fisheye" else self._undistort_brown, xy)
@@ -145,7 +143,7 @@ class Distortion:
         ideal_x, ideal_y = x, y
         for _ in range(40):
             if math.isfinite(self.fold):
-                # Staying inside the fold keeps an iterate from settling on a branch beyond it.
+                # An iterate inside the fold cannot converge to a branch beyond it.
                 within = np.minimum(1.0, 0.999 * self.fold / np.maximum(np.hypot(ideal_x, ideal_y), 1e-12))
                 ideal_x, ideal_y = ideal_x * within, ideal_y * within
             value_x, value_y, jacobian = self._brown_forward(ideal_x, ideal_y)
@@ -173,7 +171,7 @@ class Distortion:
 
 @dataclass(frozen=True, eq=False)
 class _Jacobian:
-    """N matrices of two rows and columns, by their entries (N,): many times as fast as arrays of small matrices."""
+    """N matrices of two rows and columns, by their entries (N,): much faster than arrays of small matrices."""
 
     xx: Array
     xy: Array
@@ -182,11 +180,11 @@ class _Jacobian:
 
     @cached_property
     def determinant(self) -> Array:
-        """(N,)"""
+        """(N,) determinants."""
         return self.xx * self.yy - self.xy * self.yx
 
     def solve(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Solve for what the matrices take to x and y (N,); x and y themselves where a matrix is singular."""
+        """Solve for the vectors that the matrices map to x and y (N,); x and y unchanged if a matrix is singular."""
         regular = np.abs(self.determinant) > 1e-9
         divisor = np.where(regular, self.determinant, 1.0)
         return (
@@ -196,10 +194,10 @@ class _Jacobian:
 
 
 def _by_blocks(of: Callable[[Array, Array], tuple[Array, Array, Mask]], xy: Array) -> tuple[Array, Mask]:
-    """A function of x and y (N,), for points (..., 2).
+    """Apply a function of x and y (N,) to points (..., 2) in blocks.
 
-    It is given few at a time, so that all that it makes stays in the processor's cache: for the pixels of an image
-    that is three times as fast as all at once.
+    Small blocks keep intermediate results in the processor's cache. For the pixels of an image this is three times as
+    fast as one call.
     """
     points = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
     out, mask = np.empty_like(points), np.empty(len(points), dtype=bool)
@@ -214,7 +212,7 @@ def _by_blocks(of: Callable[[Array, Array], tuple[Array, Array, Mask]], xy: Arra
 class Camera:
     """A pinhole camera with distortion, fixed in the world.
 
-    Raises UserError when a field has the wrong shape, K is no intrinsic matrix or the pose is no rigid transform.
+    Raises UserError if a field has the wrong shape, K is not an intrinsic matrix or the pose is not a rigid transform.
     """
 
     width: int
@@ -259,19 +257,19 @@ class Camera:
         fov: float = math.radians(110),
         distortion: Distortion | None = None,
     ) -> Self:
-        """Make a camera from its place, its direction and its field of view.
+        """Make a camera from its position, orientation and field of view.
 
         Args:
-            position: (3,) place of the camera in the world, metres.
-            yaw: Direction in which it looks, from world x towards y, radians.
-            pitch_down: Angle of its axis under the horizontal, radians.
-            roll: Turn about its axis, radians; positive ones turn the scene anticlockwise in the image.
+            position: (3,) position of the camera in the world, metres.
+            yaw: Viewing direction, from world x towards y, radians.
+            pitch_down: Angle of the optical axis below the horizontal, radians.
+            roll: Rotation about the axis, radians; positive values turn the scene anticlockwise in the image.
             size: Width and height of the image, pixels.
             fov: Full horizontal field of view before distortion, radians.
-            distortion: Of the lens; None: none.
+            distortion: Distortion of the lens; None: none.
 
         Returns:
-            A camera with square pixels, whose axis meets the middle of the image.
+            A camera with square pixels and its axis through the middle of the image.
         """
         width, height = size
         focal = width / 2 / math.tan(fov / 2)
@@ -292,10 +290,10 @@ class Camera:
         Args:
             value: The object; without `distortion` the lens has none.
             width: Width of the image, pixels.
-            height: Its height, pixels.
+            height: Height of the image, pixels.
 
         Raises:
-            UserError: A field is missing or is not what a camera has.
+            UserError: A field is missing or invalid.
         """
         try:
             distortion = value.get("distortion", {"model": "none", "coefficients": []})
@@ -314,7 +312,7 @@ class Camera:
             raise error if isinstance(error, UserError) else UserError(f"camera: {error}") from None
 
     def to_dict(self) -> dict[str, Any]:
-        """The annotation schema's `camera` object; matrices unrounded."""
+        """Return the annotation schema's `camera` object; matrices are not rounded."""
         return {
             "K": self.K.tolist(),
             "distortion": {"model": self.distortion.model, "coefficients": list(self.distortion.coefficients)},
@@ -322,7 +320,7 @@ class Camera:
         }
 
     def resized(self, size: tuple[int, int]) -> "Camera":
-        """A camera with the same view whose images have another size (width, height), pixels."""
+        """Return a camera with the same view and images of another size (width, height), pixels."""
         scale = np.array([[size[0] / self.width], [size[1] / self.height], [1.0]])
         return replace(self, width=size[0], height=size[1], K=self.K * scale)
 
@@ -334,21 +332,21 @@ class Camera:
 
     @property
     def angles(self) -> tuple[float, float, float]:
-        """Yaw, pitch downwards and roll as `looking` takes them, radians."""
+        """Yaw, downward pitch and roll as in `looking`, radians."""
         x, y, z = self.T_camera_world[2, :3]
         yaw, pitch_down = math.atan2(y, x), math.asin(-max(-1.0, min(1.0, z)))
         level = np.array([math.sin(yaw), -math.cos(yaw), 0.0])
         return yaw, pitch_down, math.atan2(-self.T_camera_world[1, :3] @ level, self.T_camera_world[0, :3] @ level)
 
     def to_camera(self, points_world: ArrayLike) -> Array:
-        """(..., 3) world -> (..., 3) camera frame."""
+        """Transform points (..., 3) from the world to the camera frame."""
         return np.asarray(points_world, dtype=np.float64) @ self.T_camera_world[:3, :3].T + self.T_camera_world[:3, 3]
 
     def project(self, points_world: ArrayLike) -> tuple[Array, Array, Mask]:
-        """World points (..., 3) -> pixels (..., 2), planar depth (...,), valid (...,).
+        """Project world points (..., 3); return pixels (..., 2), planar depth (...,) and validity (...,).
 
-        `valid` holds in front of the camera and inside the distortion's monotonic domain; elsewhere pixels are NaN.
-        A valid point may still lie outside the image: see `inside`.
+        Valid points are in front of the camera and inside the distortion's monotonic domain; other pixels are NaN. A
+        valid point may still lie outside the image: see `inside`.
         """
         p = self.to_camera(points_world)
         z = p[..., 2]
@@ -363,7 +361,7 @@ class Camera:
         return np.where(valid[..., None], pixels, np.nan), z, valid
 
     def rays(self, pixels: ArrayLike) -> tuple[Array, Mask]:
-        """Pixels (..., 2) -> camera-frame rays (..., 3) with z = 1, and where the distortion can be undone."""
+        """Return camera-frame rays (..., 3) with z = 1 of pixels (..., 2), and where the distortion is invertible."""
         uv = np.asarray(pixels, dtype=np.float64)
         y = (uv[..., 1] - self.K[1, 2]) / self.K[1, 1]
         x = (uv[..., 0] - self.K[0, 2] - self.K[0, 1] * y) / self.K[0, 0]
@@ -371,12 +369,12 @@ class Camera:
         return np.concatenate([ideal, np.ones_like(ideal[..., :1])], axis=-1), valid
 
     def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> tuple[Array, Mask]:
-        """Pixels (..., 2) at planar depth (...,) metres -> world points (..., 3), and where that can be undone."""
+        """Return world points (..., 3) of pixels (..., 2) at planar depth (...,), metres, and where they are valid."""
         rays, valid = self.rays(pixels)
         p = rays * np.asarray(depth, dtype=np.float64)[..., None]
         return (p - self.T_camera_world[:3, 3]) @ self.T_camera_world[:3, :3], valid
 
     def inside(self, pixels: ArrayLike) -> Mask:
-        """(...) whether pixels (..., 2) fall on the image; NaN does not."""
+        """Return (...) whether pixels (..., 2) fall on the image; False for NaN."""
         uv = np.asarray(pixels, dtype=np.float64)
         return np.asarray((uv >= 0).all(-1) & (uv[..., 0] < self.width) & (uv[..., 1] < self.height))

@@ -1,7 +1,7 @@
-"""Few points may suit several cameras: one that is near with a wide lens, and one that is far with a long one.
+"""Find other cameras that fit the same points: a few points may fit a near wide-angle and a distant telephoto camera.
 
-The search goes to one of them; how likely each is follows from the evidence under it (Laplace's approximation), and
-where several are likely, the covariance of the likeliest holds the others too.
+The search finds one of them. The probability of each follows from the evidence under it (Laplace's approximation). If
+several are likely, the covariance of the most likely one includes the others.
 """
 
 import math
@@ -23,14 +23,14 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class OtherCameraStarts:
-    """First cameras of the search for other solutions."""
+    """Initial cameras of the search for other solutions."""
 
     focal_widths: tuple[float, float, float, float] = (0.45, 0.7, 1.1, 2.6)
     """Focal lengths, in widths of the image."""
     distortions: tuple[float, float] = (0.0, -0.2)
     """First coefficients of the distortion."""
     same_camera: float = 0.02
-    """Cameras that differ by less are one, in units of `SEARCH_SCALES`."""
+    """Difference of two cameras below which they are one, in units of `SEARCH_SCALES`."""
 
 
 OTHER_CAMERAS: Final = OtherCameraStarts()
@@ -39,13 +39,13 @@ OTHER_CAMERAS: Final = OtherCameraStarts()
 def likely_cameras(
     evidence: Evidence, terms: Sequence[ResidualTerm], fit: WeightedFit, unknown: Sequence[str]
 ) -> tuple[list[WeightedFit], Array]:
-    """All cameras that suit the evidence, the likeliest first, and (C,) the probability of each.
+    """Return all cameras that fit the evidence, most likely first, and (C,) the probability of each.
 
     Args:
-        evidence: With four points or more.
-        terms: Its terms.
-        fit: One such camera.
-        unknown: Names of the parameters that are.
+        evidence: Evidence with at least four points.
+        terms: Terms of the evidence.
+        fit: A camera that fits.
+        unknown: Names of the unknown parameters.
     """
     scales = SEARCH_SCALES[[CAMERA_PARAMETERS.index(name) for name in unknown]]
     fits = [fit, *(fit_terms(terms, at, unknown, evidence.size) for at in _starts(evidence))]
@@ -65,17 +65,16 @@ def likely_cameras(
 def spread_around(
     own: WeightedFit, others: Sequence[WeightedFit], chances: Sequence[float], unknown: Sequence[str]
 ) -> Array:
-    """Covariance that other likely cameras add to that of one camera.
+    """Return the covariance that other likely cameras add to that of one camera.
 
     Args:
-        own: The camera around which the covariance is taken.
-        others: The other cameras that suit the evidence.
+        own: The camera with the covariance to extend.
+        others: The other cameras that fit the evidence.
         chances: Probability of each of them.
-        unknown: Names of the P parameters that were solved for, of `CAMERA_PARAMETERS`.
+        unknown: Names in `CAMERA_PARAMETERS` of the P fitted parameters.
 
     Returns:
-        (P, P) what is added to the covariance of `own`, in the parameters' units; no direction's variance is made
-        smaller.
+        (P, P) additional covariance of `own`, in the parameters' units. It never reduces a variance.
     """
     columns = [CAMERA_PARAMETERS.index(name) for name in unknown]
     scales = SEARCH_SCALES[columns]
@@ -83,21 +82,21 @@ def spread_around(
     for one, chance in zip(others, chances, strict=True):
         away = _between(one, own, unknown)
         spread += chance * (np.outer(away, away) + one.covariance(scales) - own.covariance(scales))
-    # Others may know the camera better in some way: that takes nothing off.
+    # If another camera has a smaller variance in some direction, nothing is subtracted.
     told, axes = np.linalg.eigh(spread / np.outer(scales, scales))
     axes = axes * scales[:, None]
     return np.asarray((axes * np.maximum(told, 0)) @ axes.T)
 
 
 def _between(one: WeightedFit, other: WeightedFit, names: Sequence[str]) -> Array:
-    """(P,) by what parameters of two cameras differ; yaw is an angle: a turn more or less is none."""
+    """Return (P,) parameter differences of two cameras; differences of yaw are wrapped to half a turn."""
     away = (one.at - other.at)[[CAMERA_PARAMETERS.index(name) for name in names]]
     return np.where(np.array(names) == "yaw", (away + math.pi) % (2 * math.pi) - math.pi, away)
 
 
 def _starts(evidence: Evidence) -> list[Array]:
-    """Values of `CAMERA_PARAMETERS` of cameras with several lenses that see the points where they are marked, or
-    near."""
+    """Return values of `CAMERA_PARAMETERS` of cameras with several lenses that see the points where they are marked,
+    or near."""
     uv, places = [point.pixel for point in evidence.points], [point.place for point in evidence.points]
     out = []
     for bend in OTHER_CAMERAS.distortions:

@@ -1,6 +1,6 @@
-"""Files of marked points: CSV in the world's metres or WGS84, and OTVision's reference points (`.otrfpts`).
+"""Read marked points: CSV with world metres or WGS84, and OTVision's reference points (`.otrfpts`).
 
-Maps count metres from far away: such places are taken from a local origin, which is handed on.
+Map coordinates are large. They are shifted to a local origin, which is returned with the points.
 """
 
 import math
@@ -19,7 +19,7 @@ from skope.files.json_files import read_json
 from skope.types import Array
 
 METRIC_COLUMNS: Final = ("column", "row", "x", "y", "z")
-"""Columns of a file with metres."""
+"""Columns of a file with metric positions."""
 GEOGRAPHIC_COLUMNS: Final = ("column", "row", "longitude", "latitude")
 """Columns of a file with longitude and latitude."""
 DEFAULT_SIGMAS: Final = {
@@ -37,13 +37,13 @@ class PointFileLimits:
     """Limits of coordinates in files of points."""
 
     widest_px: float = 1e5
-    """Largest column or row, pixels."""
+    """Maximum column or row, pixels."""
     farthest_m: float = 1e8
-    """Largest coordinate, metres."""
+    """Maximum coordinate, metres."""
     spread_m: float = 20_000.0
-    """Points farther apart do not belong to one camera, metres."""
+    """Maximum distance between points of one camera, metres."""
     stretched: float = 5e-4
-    """Difference of UTM's scale from 1 that is reported. Inside a zone it is smaller."""
+    """Minimum deviation of UTM's scale from 1 that is reported. Inside a zone it is smaller."""
 
 
 POINT_FILE_LIMITS: Final = PointFileLimits()
@@ -51,14 +51,14 @@ POINT_FILE_LIMITS: Final = PointFileLimits()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PointFile:
-    """Points that a file holds, in metres of a world near them."""
+    """Points of a file, in metres of a local world."""
 
     points: tuple[MarkedPoint, ...]
     world: Mapping[str, Any] | None = None
-    """Place of the world's (0, 0) on the map, for the camera's file; None: the file's own coordinates are the world's.
+    """Map position of the world's (0, 0), for the camera's file; None: the file's own coordinates are the world's.
     """
     said: tuple[str, ...] = ()
-    """Sentences that the user should know about these coordinates."""
+    """Sentences for the user on these coordinates."""
 
 
 def read_points(path: Path) -> PointFile:
@@ -69,7 +69,7 @@ def read_points(path: Path) -> PointFile:
             longitude, latitude and perhaps z; perhaps name, sigma_px, sigma_m, sigma_z_m.
 
     Raises:
-        UserError: The file cannot be read, or a value is missing or none; the message names file and field.
+        UserError: The file cannot be read, or a value is missing or invalid; the message names file and field.
     """
     return _otvision(path) if path.suffix.lower() in (".otrfpts", ".json") else _table(path)
 
@@ -93,7 +93,7 @@ def _table(path: Path) -> PointFile:
     world, said = None, tuple[str, ...]()
     if geographic:
         xy, world = _from_wgs84(path, values["longitude"], values["latitude"])
-        said = ("places are metres east and north of the points' middle, whose longitude and latitude the file says",)
+        said = ("positions are metres east and north of the points' centre; the file has its longitude and latitude",)
     else:
         xy = np.column_stack([values["x"], values["y"]])
     pixels = np.column_stack([values["column"], values["row"]])
@@ -152,7 +152,7 @@ def _otvision(path: Path) -> PointFile:
     ]
     if abs(scale - 1) > POINT_FILE_LIMITS.stretched:
         said.append(
-            f"so far from the middle of zone {zone_half} a metre on the road is {scale:.5f} m of the map's: distances "
+            f"far from the middle of zone {zone_half}: a metre on the road is {scale:.5f} m on the map; distances "
             f"and speeds are too {'large' if scale > 1 else 'small'} by {abs(scale - 1):.2%}"
         )
     places = np.column_stack([values[:, 2:] - origin, np.zeros(len(values))])

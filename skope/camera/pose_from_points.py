@@ -1,4 +1,4 @@
-"""Fit a camera's pose, and its focal length where that is unknown, to points that are known in image and world."""
+"""Fit a camera's pose, and its focal length if unknown, to points with known image and world positions."""
 
 import math
 from dataclasses import dataclass, replace
@@ -14,18 +14,18 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class PointFitLimits:
-    """Limits of a camera from points."""
+    """Limits for fitting a camera to points."""
 
     fewest_points: int = 4
-    """Smallest number of points for a camera."""
+    """Minimum number of points for a camera."""
     marked_px: float = 1.0
-    """Least standard deviation of a marked point, pixels per axis."""
+    """Minimum standard deviation of a marked point, pixels per axis."""
 
 
 POINT_FIT: Final = PointFitLimits()
 
 FOCAL_GRID: Final = np.geomspace(0.3, 8.0, 48)
-"""Focal lengths that are tried first, in widths of the image: fields of view from 118 to 7 degrees."""
+"""Focal lengths of the first search, in widths of the image: fields of view from 118 to 7 degrees."""
 
 
 @dataclass(frozen=True)
@@ -33,13 +33,13 @@ class CameraSigma:
     """Standard deviations of a camera that was fitted to points."""
 
     focal: float
-    """Pixels."""
+    """Focal length, pixels."""
     pitch: float
-    """Radians."""
+    """Pitch, radians."""
     roll: float
-    """Radians."""
+    """Roll, radians."""
     height: float
-    """Of the camera's z in the world, metres."""
+    """Camera's z in the world, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +48,9 @@ class CameraFit:
 
     camera: Camera
     errors_px: Array
-    """(N,) distance of each point in the image from where the camera projects it, pixels."""
+    """(N,) distance of each point from its projection in the image, pixels."""
     points_world: Array
-    """(N, 3) the points, metres."""
+    """(N, 3) positions of the points, metres."""
     fitted_focal: bool = False
     """Whether the focal length was fitted too."""
 
@@ -60,7 +60,7 @@ class CameraFit:
         return float(np.sqrt((self.errors_px**2).mean()))
 
     def sigma(self) -> CameraSigma:
-        """Standard deviations of what was fitted, as points that are marked a pixel off leave it, or worse ones."""
+        """Return standard deviations for marking errors of at least `POINT_FIT.marked_px`, or of the residuals."""
         middle = self.points_world.mean(axis=0)
         pixels, _, _ = self.camera.project(self.points_world)
         _, jacobian = _linearised(self.camera, pixels, self.points_world, middle, self.fitted_focal)
@@ -89,8 +89,8 @@ def fit_camera_to_points(
 ) -> CameraFit:
     """Fit the camera that projects points to pixels with the least sum of squared distances in the image.
 
-    SQPnP (Terzakis and Lourakis, 2020) gives the pose for each focal length that is tried, Levenberg and Marquardt's
-    method refines the best.
+    SQPnP (Terzakis and Lourakis, 2020) gives the pose for each tested focal length. Levenberg and Marquardt's method
+    refines the best.
 
     Args:
         pixels: (N, 2) points in the image.
@@ -100,7 +100,7 @@ def fit_camera_to_points(
         distortion: The lens; None: without distortion.
 
     Raises:
-        UserError: There are fewer than four points, they lie on one line, or no camera sees them so.
+        UserError: There are fewer than four points, they lie on one line, or no camera fits them.
     """
     uv, xyz = np.asarray(pixels, dtype=np.float64), np.asarray(points_world, dtype=np.float64)
     lens = distortion or Distortion()
@@ -111,18 +111,18 @@ def fit_camera_to_points(
     tried = [K] if K is not None else [centred(size, share * size[0]) for share in FOCAL_GRID]
     fits = [fit for intrinsics in tried if (fit := _posed(uv, xyz, size, intrinsics, lens)) is not None]
     if not fits:
-        raise UserError("control points: no camera sees them so; are some swapped?")
+        raise UserError("control points: no camera fits them; check for swapped points")
     best = min(fits, key=lambda fit: fit.rms_px)
     return replace(_refined(best, uv, xyz, focal=K is None), fitted_focal=K is None)
 
 
 def centred(size: tuple[int, int], focal: float) -> Array:
-    """(3, 3) intrinsics of a focal length in pixels, with the principal point in the image's middle."""
+    """Return (3, 3) intrinsics of a focal length in pixels, with a centred principal point."""
     return np.array([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1.0]])
 
 
 def _posed(uv: Array, xyz: Array, size: tuple[int, int], K: Array, distortion: Distortion) -> CameraFit | None:
-    """The best pose for given intrinsics; None when there is none."""
+    """Return the best pose for given intrinsics; None if there is none."""
     import cv2
 
     rays, valid = Camera(*size, K, np.eye(4), distortion).rays(uv)
@@ -152,17 +152,17 @@ def _measured(camera: Camera, uv: Array, xyz: Array) -> CameraFit | None:
 
 
 def _figures(camera: Camera) -> Array:
-    """(4,) focal length (pixels), tilt and roll (radians), and z (metres)."""
+    """Return (4,) focal length (pixels), pitch and roll (radians), and z (metres)."""
     _, pitch, roll = camera.angles
     return np.array([camera.K[0, 0], pitch, roll, camera.position[2]])
 
 
 def _refined(fit: CameraFit, uv: Array, xyz: Array, *, focal: bool) -> CameraFit:
-    """Levenberg and Marquardt's method on the distances in the image, over pose and (with `focal`) focal length."""
+    """Minimise the distances in the image over pose and (with `focal`) focal length, by Levenberg and Marquardt."""
     middle, weight = xyz.mean(axis=0), 1e-3
     residual, jacobian = _linearised(fit.camera, uv, xyz, middle, focal)
     for _ in range(200):
-        if not np.isfinite(jacobian).all():  # a point lies where the lens's picture ends
+        if not np.isfinite(jacobian).all():  # a point lies at the limit of the lens model
             break
         normal = jacobian.T @ jacobian
         step = np.linalg.solve(normal + weight * np.diag(np.diag(normal) + 1e-12), -jacobian.T @ residual)
@@ -181,7 +181,7 @@ def _refined(fit: CameraFit, uv: Array, xyz: Array, *, focal: bool) -> CameraFit
 
 
 def _linearised(camera: Camera, uv: Array, xyz: Array, middle: Array, focal: bool) -> tuple[Array, Array]:
-    """(2N,) residuals in pixels and their (2N, 6 or 7) derivatives."""
+    """Return (2N,) residuals in pixels and their (2N, 6 or 7) derivatives."""
     residual = (camera.project(xyz)[0] - uv).ravel()
     distance = float(np.linalg.norm(camera.to_camera(middle)))
     columns = []
@@ -194,7 +194,7 @@ def _linearised(camera: Camera, uv: Array, xyz: Array, middle: Array, focal: boo
 
 
 def _moved(camera: Camera, step: Array, middle: Array) -> Camera:
-    """A camera turned by a small vector about the points' middle, shifted, and with its focal length scaled."""
+    """Return a camera rotated by a small vector about the points' centre, shifted, and with a scaled focal length."""
     import cv2
 
     T = camera.T_camera_world.copy()

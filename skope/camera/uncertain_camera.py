@@ -1,4 +1,4 @@
-"""A camera, how well it is known, and so how well each place is that it shows."""
+"""A camera with its uncertainty, and the resulting uncertainty of positions on the road."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -20,21 +20,21 @@ CAMERA_PARAMETERS: Final = ("focal", "k1", "x", "y", "z", "pitch", "roll", "yaw"
 pitch, roll and yaw (radians) of a camera.
 """
 _OTHER_NAMES: Final = {"log_focal": "focal", "log_height": "z"}
-"""Names in files of parameters that are worked out from vehicles; a height's logarithm is a share of it."""
+"""Names in files of parameters estimated from vehicles. The logarithm of the height is converted to z."""
 PARAMETER_STEPS: Final = dict(zip(CAMERA_PARAMETERS, (1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-6), strict=True))
 """Steps of numerical derivatives."""
 
 
 @dataclass(frozen=True)
 class UncertaintyLimits:
-    """How a camera's uncertainty becomes errors of positions and distances."""
+    """Settings for converting a camera's uncertainty to errors of positions and distances."""
 
     place_coverage: float = 0.9
     """Nominal coverage of the stated error of a position."""
     beside_m: float = 0.5
-    """Half of the segment over which the stretch of the road by the camera's error is computed, metres."""
+    """Half length of the segment over which the road's scale error is computed, metres."""
     near_m: float = 60.0
-    """Positions farther from the camera do not count in the accuracy of distances, metres."""
+    """Maximum distance from the camera of positions used for the accuracy of distances, metres."""
 
 
 UNCERTAINTY_LIMITS: Final = UncertaintyLimits()
@@ -42,17 +42,17 @@ UNCERTAINTY_LIMITS: Final = UncertaintyLimits()
 
 @dataclass(frozen=True, eq=False)
 class UncertainCamera:
-    """A camera whose parameters are off by a Gaussian.
+    """Camera with a Gaussian error of its parameters.
 
-    Raises UserError where the covariance is none, or is of what is no parameter.
+    Raises UserError if the covariance is invalid, or a parameter name is unknown.
     """
 
     camera: Camera
     parameters: tuple[str, ...]
-    """Those of `CAMERA_PARAMETERS` that are uncertain; without points the world begins under the camera, x ahead of
-    it."""
+    """Names in `CAMERA_PARAMETERS` that are uncertain. Without points, the world's origin is under the camera and x
+    points ahead of it."""
     covariance: Array
-    """(P, P) of `parameters`, in their units."""
+    """(P, P) covariance of `parameters`, in their units."""
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.parameters if name not in CAMERA_PARAMETERS]
@@ -70,7 +70,7 @@ class UncertainCamera:
 
     @classmethod
     def from_dict(cls, camera: Camera, value: Mapping[str, Any]) -> "UncertainCamera":
-        """The camera with the covariance {of, matrix} of a file."""
+        """Return the camera with the covariance {of, matrix} of a file."""
         names, rows = value.get("of"), value.get("matrix")
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise UserError("covariance: of: expected a list of names")
@@ -84,20 +84,20 @@ class UncertainCamera:
         )
 
     def covariance_dict(self) -> dict[str, Any]:
-        """The covariance as `from_dict` reads it."""
+        """Return the covariance as `from_dict` reads it."""
         return {"of": list(self.parameters), "matrix": self.covariance.tolist()}
 
     def belief(self, name: str) -> CameraPrior:
-        """The knowledge of the camera as evidence for another calibration."""
+        """Return the camera and its covariance as evidence for another calibration."""
         which = [CAMERA_PARAMETERS.index(parameter) for parameter in self.parameters]
         return CameraPrior(self.parameters, values_of(self.camera)[which], self.covariance, name)
 
     def of_camera(self, camera: Camera) -> "UncertainCamera":
-        """The same uncertainty of a camera that is another one's at another size of the image."""
+        """Return the same uncertainty for `camera`, the same camera at another image size."""
         return UncertainCamera(camera, self.parameters, self.covariance)
 
     def widened(self, added: Mapping[tuple[str, ...], Array]) -> "UncertainCamera":
-        """The camera with further, independent errors: covariances by the names of the parameters that they are of."""
+        """Return the camera with additional independent errors, given as covariances by parameter names."""
         names = tuple(name for name in CAMERA_PARAMETERS if any(name in part for part in (self.parameters, *added)))
         covariance = np.zeros((len(names), len(names)))
         for part, of_part in ((self.parameters, self.covariance), *added.items()):
@@ -108,19 +108,19 @@ class UncertainCamera:
     # ---------------------------------------------------------------------------------------------------------- places
 
     def places(self, pixels: ArrayLike, height: float = 0.0) -> Array:
-        """(..., 3) where pixels (..., 2) lie on the plane z = `height`, metres; NaN at and above the horizon."""
+        """Return (..., 3) positions of pixels (..., 2) on the plane z = `height`, metres; NaN above the horizon."""
         return intersect_ground(self.camera, pixels, height)
 
     def place_covariance(self, pixels: ArrayLike, height: float = 0.0, sigma_px: float = 0.0) -> Array:
-        """(..., 2, 2) covariance of x and y of `places`, from the camera's error and from that of the pixels.
+        """Return the covariance (..., 2, 2) of x and y of `places`, from the errors of camera and pixels.
 
         Args:
-            pixels: (..., 2)
-            height: z of the plane that they lie on, metres.
-            sigma_px: Standard deviation of the pixels themselves, an axis; 0: only the camera is uncertain.
+            pixels: (..., 2) pixels.
+            height: z of the plane, metres.
+            sigma_px: Standard deviation of the pixels per axis; 0: only the camera is uncertain.
 
         Returns:
-            (..., 2, 2) square metres; NaN at and above the horizon.
+            (..., 2, 2) square metres; NaN at or above the horizon.
         """
         uv = np.asarray(pixels, dtype=np.float64)
         J = self._by_parameters(uv, height=height)
@@ -131,19 +131,19 @@ class UncertainCamera:
         return out
 
     def place_error(self, pixels: ArrayLike, height: float = 0.0, sigma_px: float = 0.0) -> Array:
-        """(...,) radius around each of `places` that holds 90% of where it may be, metres; NaN where there is none.
+        """Return the radius (...,) around each of `places` that contains 90% of its error, metres; NaN if undefined.
 
         Args:
-            pixels: (..., 2)
-            height: z of the plane that they lie on, metres.
-            sigma_px: Standard deviation of the pixels themselves, an axis.
+            pixels: (..., 2) pixels.
+            height: z of the plane, metres.
+            sigma_px: Standard deviation of the pixels per axis.
         """
         return radius_of(self.place_covariance(pixels, height, sigma_px), UNCERTAINTY_LIMITS.place_coverage)
 
     def covariance_at(self, places: ArrayLike, slope: ArrayLike = (0.0, 0.0)) -> Array:
-        """(..., 2, 2) covariance that the camera's error gives x and y of places (..., 3) on the road, square metres.
+        """Return the covariance (..., 2, 2) of positions (..., 3) on the road from the camera's error, square metres.
 
-        `slope` is what the road rises per metre along x and y. NaN where the camera does not see a place.
+        `slope` is the road's rise per metre along x and y. NaN if the camera does not see a position.
         """
         J = self._by_parameters_at(np.asarray(places, dtype=np.float64), slope)
         return np.asarray(J @ self.covariance @ np.swapaxes(J, -1, -2))
@@ -151,17 +151,17 @@ class UncertainCamera:
     def covariance_of_velocities(
         self, places: ArrayLike, velocities: ArrayLike, slope: ArrayLike = (0.0, 0.0)
     ) -> Array:
-        """(..., 2, 2) covariance that the camera's error gives velocities (..., 2) on the road at places (..., 3).
+        """Return the covariance (..., 2, 2) of velocities (..., 2) at positions (..., 3) from the camera's error.
 
-        The camera's error stretches and turns the road around a place, and a velocity with it.
+        The camera's error scales and rotates the road around a position, and velocities with it.
 
         Args:
             places: (..., 3) world, metres.
             velocities: (..., 2) along world x and y, m/s.
-            slope: (2,) metres that the road rises per metre along x and y.
+            slope: (2,) rise of the road per metre along x and y.
 
         Returns:
-            (..., 2, 2) in m²/s²; NaN where the camera does not see the place.
+            (..., 2, 2) in m²/s²; NaN if the camera does not see the position.
         """
         at, v = np.asarray(places, dtype=np.float64), np.asarray(velocities, dtype=np.float64)
         steps = UNCERTAINTY_LIMITS.beside_m * np.column_stack([np.eye(2), np.asarray(slope, dtype=np.float64)])
@@ -172,7 +172,7 @@ class UncertainCamera:
         return np.asarray(V @ self.covariance @ np.swapaxes(V, -1, -2))
 
     def distance_sigma(self) -> float:
-        """Relative standard deviation of short ways on the road z = 0, at the ninth in ten of its places near by."""
+        """Return the relative standard deviation of short distances on the road z = 0: the 90th percentile nearby."""
         u, v = np.meshgrid(*(np.linspace(0.05, 0.95, 9) * side for side in (self.camera.width, self.camera.height)))
         places = self.places(np.stack([u.ravel(), v.ravel()], axis=-1))
         near = np.linalg.norm(places[:, :2] - self.camera.position[:2], axis=1) < UNCERTAINTY_LIMITS.near_m
@@ -184,14 +184,14 @@ class UncertainCamera:
         return float(np.percentile(shares, 90)) if shares else 1.0
 
     def _by_parameters_at(self, places: Array, slope: ArrayLike) -> Array:
-        """(..., 2, P) how places (..., 3) on the road, as their pixels show them, move with the parameters."""
+        """Return derivatives (..., 2, P) of positions (..., 3) on the road, at fixed pixels, by the parameters."""
         pixels, _, valid = self.camera.project(places)
         seen = np.where(valid[..., None], pixels, 0.0)
         J = self._by_parameters(seen, height=places[..., 2], about=places[..., :2], slope=slope)
         return np.where(valid[..., None, None], J, np.nan)
 
     def _by_parameters(self, pixels: Array, **plane: ArrayLike) -> Array:
-        """(..., 2, P) derivatives of `intersect_ground` by the camera parameters."""
+        """Return (..., 2, P) derivatives of `intersect_ground` by the camera parameters."""
         steps = np.array([PARAMETER_STEPS[name] for name in self.parameters])
 
         def moved(step: Array) -> Array:
@@ -202,7 +202,7 @@ class UncertainCamera:
 
 
 def camera_of_parameters(values: Array, size: tuple[int, int]) -> Camera:
-    """The camera of values (8,) of `CAMERA_PARAMETERS`, with the principal point in the image's middle."""
+    """Return the camera of values (8,) of `CAMERA_PARAMETERS`, with a centred principal point."""
     focal, k1, x, y, z, pitch, roll, yaw = values.tolist()
     lens = Distortion("brown", (k1, 0.0, 0.0, 0.0)) if k1 else Distortion()
     fov = 2 * math.atan(size[0] / 2 / math.exp(focal))
@@ -210,14 +210,14 @@ def camera_of_parameters(values: Array, size: tuple[int, int]) -> Camera:
 
 
 def values_of(camera: Camera) -> Array:
-    """(8,) values of `CAMERA_PARAMETERS` of a camera."""
+    """Return (8,) values of `CAMERA_PARAMETERS` of a camera."""
     yaw, pitch, roll = camera.angles
     k1 = camera.distortion.coefficients[0] if camera.distortion.model != "none" else 0.0
     return np.array([math.log(camera.K[0, 0]), k1, *camera.position, pitch, roll, yaw])
 
 
 def moved_camera(camera: Camera, steps: Mapping[str, float]) -> Camera:
-    """A camera whose `CAMERA_PARAMETERS` are larger by `steps`; what they do not say of it stays."""
+    """Return a camera with `steps` added to its `CAMERA_PARAMETERS`; its other properties stay."""
     values = values_of(camera)
     for name, step in steps.items():
         values[CAMERA_PARAMETERS.index(name)] += step
@@ -233,9 +233,9 @@ def moved_camera(camera: Camera, steps: Mapping[str, float]) -> Camera:
 
 
 def radius_of(covariance: ArrayLike, share: float) -> Array:
-    """(...,) radius of the circle that holds a share of normal distributions of covariance (..., 2, 2).
+    """Return the radius (...,) of the circle that contains a share of normal distributions of covariance (..., 2, 2).
 
-    Across the longer axis the share of a chord is an error function; along it, Gauss and Legendre's rule adds them up.
+    Across the longer axis the share of a chord is an error function; along it, Gauss-Legendre quadrature is used.
     """
     C = np.asarray(covariance, dtype=np.float64)
     known = np.asarray(np.isfinite(C).all(axis=(-2, -1)))
@@ -258,8 +258,8 @@ def slopes(of: Callable[[Array], Array], at: Array, step: float) -> Array:
 
     Args:
         of: The function, from numbers (U,) to (...).
-        at: (U,) the numbers at which it is differentiated.
-        step: Step to either side in each of them, in their unit.
+        at: (U,) the numbers at which to differentiate.
+        step: Step to both sides in each number, in its unit.
 
     Returns:
         (..., U) derivatives, the numbers along the last axis.

@@ -1,4 +1,4 @@
-"""The likeliest camera under terms of evidence: Levenberg and Marquardt's method, weights following the camera."""
+"""Fit the most likely camera to terms of evidence: Levenberg and Marquardt's method with reweighting per round."""
 
 import math
 from collections.abc import Sequence
@@ -19,60 +19,60 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class FitStarts:
-    """First cameras and limits of the weighted fit to marks."""
+    """Initial cameras and limits of the weighted fit to marks."""
 
     pitches_deg: tuple[float, ...] = (4.0, 10.0, 18.0, 28.0, 40.0, 55.0)
-    """Downward pitch angles at which the search begins, degrees."""
+    """Downward pitch angles of the initial cameras, degrees."""
     focal_widths: tuple[float, ...] = (0.45, 0.7, 1.1, 1.7, 2.6, 4.0)
-    """Focal lengths at which the search begins, in widths of the image."""
+    """Focal lengths of the initial cameras, in widths of the image."""
     height_m: float = 6.0
-    """Height over the road at which the search begins, metres."""
+    """Height over the road of the initial cameras, metres."""
     rounds: int = 4
-    """Rounds in which the weights follow the camera."""
+    """Maximum number of rounds; the weights are updated before each round."""
     most_steps: int = 60
-    """Maximum number of steps of a round."""
+    """Maximum number of evaluations per round."""
     finalists: int = 2
-    """Number of starts that are followed to the end."""
+    """Number of starts that are optimised to the end."""
     first_steps: int = 12
-    """Number of steps after which these are chosen."""
+    """Number of evaluations after which these are selected."""
     least_information: float = 1e-8
-    """Information on a parameter that stands for none, in inverse squares of `SEARCH_SCALES`."""
+    """Minimum information on a parameter, in inverse squares of `SEARCH_SCALES`. Lower values are raised to it."""
     checked_points: int = 6
-    """Number of points from which one that contradicts the others is found."""
+    """Minimum number of points at which a point that contradicts the others can be identified."""
 
 
 FIT_STARTS: Final = FitStarts()
 
 SEARCH_SCALES: Final = np.array([0.1, 0.05, 1.0, 1.0, 0.5, 0.05, 0.05, 0.05])
-"""Scales of `CAMERA_PARAMETERS` in steps of the search."""
+"""Scales of `CAMERA_PARAMETERS` in the search."""
 
 
 @dataclass(frozen=True, eq=False)
 class WeightedFit:
-    """The likeliest values of a camera's unknown parameters."""
+    """Most likely values of a camera's unknown parameters."""
 
     at: Array
     """(8,) values of `CAMERA_PARAMETERS`."""
     cost: float
-    """Sum of the squares of the residuals, in standard deviations."""
+    """Sum of the squared residuals, in standard deviations."""
     J: Array
-    """(R, P) derivatives of these residuals by the unknown parameters."""
+    """(R, P) derivatives of these residuals with respect to the unknown parameters."""
     blocks: tuple[Array, ...] = ()
     """The residuals of each piece of evidence."""
     log_weights: float = 0.0
     """Logarithm of the product of all weights: half that of the determinant of the evidence's inverse covariance."""
 
     def covariance(self, scales: Array) -> Array:
-        """(P, P) of the unknown parameters, for a linear model; what nothing tells is known badly, not exactly.
+        """Return the covariance (P, P) of the unknown parameters, for a linear model.
 
-        `scales` (P,) are what the parameters change by.
+        Directions without evidence get a large variance. `scales` (P,) are the scales of the parameters.
         """
         told, axes = np.linalg.eigh((self.J * scales).T @ (self.J * scales))
         axes = axes * scales[:, None]
         return np.asarray((axes / np.maximum(told, FIT_STARTS.least_information)) @ axes.T)
 
     def log_evidence(self, scales: Array) -> float:
-        """Logarithm of how likely the evidence is whatever the camera, but for a constant (Laplace's approximation)."""
+        """Return the log marginal likelihood of the evidence, up to a constant (Laplace's approximation)."""
         told = np.linalg.eigvalsh((self.J * scales).T @ (self.J * scales))
         return float(
             -self.cost / 2 + self.log_weights - np.log(np.maximum(told, FIT_STARTS.least_information)).sum() / 2
@@ -82,16 +82,16 @@ class WeightedFit:
 def best_fit(
     terms: Sequence[ResidualTerm], starts: Sequence[Array], unknown: Sequence[str], size: tuple[int, int]
 ) -> WeightedFit:
-    """Find the likeliest camera; of many starts only those that are ahead after some steps go on.
+    """Find the most likely camera. With many starts, only the best after some steps are optimised further.
 
     Args:
         terms: The evidence.
-        starts: Values (8,) of `CAMERA_PARAMETERS` to begin with, one or more.
-        unknown: Names of the P parameters to solve for; the others stay as they begin.
+        starts: Initial values (8,) of `CAMERA_PARAMETERS`, one or more.
+        unknown: Names of the P parameters to solve for; the others keep their initial values.
         size: Width and height of the image, pixels.
 
     Returns:
-        The solution of least cost; its cost is infinite where none of the starts leads to one.
+        The solution of lowest cost; its cost is infinite if no start leads to a solution.
     """
     if len(starts) > FIT_STARTS.finalists:
         begun = [fit_terms(terms, at, unknown, size, rounds=1, steps=FIT_STARTS.first_steps) for at in starts]
@@ -108,18 +108,18 @@ def fit_terms(
     rounds: int = FIT_STARTS.rounds,
     steps: int = FIT_STARTS.most_steps,
 ) -> WeightedFit:
-    """Solve for the unknown parameters; weights are those of the camera of the round before.
+    """Solve for the unknown parameters. The weights of a round come from the camera of the previous round.
 
     Args:
         terms: The evidence.
-        begun: (8,) values of `CAMERA_PARAMETERS` to begin with.
-        unknown: Names of the P parameters to solve for; the others stay as they begin.
+        begun: (8,) initial values of `CAMERA_PARAMETERS`.
+        unknown: Names of the P parameters to solve for; the others keep their initial values.
         size: Width and height of the image, pixels.
-        rounds: Rounds at most; it ends earlier when nothing moves.
-        steps: Evaluations of a round at most.
+        rounds: Maximum number of rounds; the fit ends earlier when it has converged.
+        steps: Maximum number of evaluations per round.
 
     Returns:
-        The solution; its cost is infinite where a mark has no place under the camera that is reached.
+        The solution; its cost is infinite if a mark cannot be projected with the camera of a round.
     """
     columns = [CAMERA_PARAMETERS.index(name) for name in unknown]
     at, fit = begun.copy(), None
@@ -127,7 +127,7 @@ def fit_terms(
         camera = camera_of_parameters(at, size)
         try:
             weights = [np.linalg.inv(np.linalg.cholesky(C + 1e-12)) for C in covariances_of(terms, camera)]
-        except np.linalg.LinAlgError:  # a camera that sees a mark where its lens ends
+        except np.linalg.LinAlgError:  # a mark lies at the limit of the lens model
             return WeightedFit(at, math.inf, np.zeros((1, len(columns))))
 
         def residuals(values: Array, at: Array = at, weights: list[Array] = weights) -> Array:
@@ -151,26 +151,26 @@ def fit_terms(
 
 
 def camera_starts(evidence: Evidence, start: Camera | None, terms: Sequence[ResidualTerm]) -> list[Array]:
-    """Cameras that the search for the likeliest one begins with.
+    """Return initial cameras for the search.
 
     Args:
-        evidence: What was marked.
-        start: The camera to begin with; None: cameras that suit the points, or those of a grid of focal lengths and
-            tilts where points are too few.
+        evidence: The marks.
+        start: The initial camera; None: cameras that fit the points, or, with too few points, those of a grid of focal
+            lengths and tilts.
         terms: The evidence as terms, which rank the cameras.
 
     Returns:
-        Values (8,) of `CAMERA_PARAMETERS`, the best first: 1 of a given start, at most 2 from points, 6 of the grid.
+        Values (8,) of `CAMERA_PARAMETERS`, best first: 1 for a given start, at most 2 from points, 6 from the grid.
 
     Raises:
-        UserError: No camera sees the points as they were marked.
+        UserError: No camera fits the points.
     """
     if start is not None:
         return [values_of(start)]
     if len(evidence.points) >= POINT_FIT.fewest_points:
         uv = np.array([point.pixel for point in evidence.points])
         places = np.array([point.place for point in evidence.points])
-        # With one wrong point all may be led astray: each is left out once.
+        # One wrong point may spoil all fits, so each point is left out once.
         keep = [np.arange(len(uv))]
         if len(uv) >= FIT_STARTS.checked_points:
             keep += [np.delete(np.arange(len(uv)), i) for i in range(len(uv))]
@@ -181,7 +181,7 @@ def camera_starts(evidence: Evidence, start: Camera | None, terms: Sequence[Resi
             except UserError:
                 continue
         if not out:
-            raise UserError("calibration: no camera sees the points so; do they lie on one line, or are two swapped?")
+            raise UserError("calibration: no camera fits the points; check for swapped points and points on one line")
         return sorted(out, key=lambda at: _capped_cost(terms, camera_of_parameters(at, evidence.size)))[:2]
     grid = [
         np.array([math.log(share * evidence.size[0]), 0, 0, 0, FIT_STARTS.height_m, math.radians(tilt), 0, 0])
@@ -192,11 +192,11 @@ def camera_starts(evidence: Evidence, start: Camera | None, terms: Sequence[Resi
 
 
 def _capped_cost(terms: Sequence[ResidualTerm], camera: Camera) -> float:
-    """Sum of the squares of the residuals in standard deviations, each piece of evidence up to 16: one may be wrong."""
+    """Return the sum of squared residuals in standard deviations, each term capped at 16 because one may be wrong."""
     pairs = zip(residuals_of(terms, camera), covariances_of(terms, camera), strict=True)
     return sum(min(float(off @ np.linalg.solve(C + 1e-12, off)), 16.0) for off, C in pairs)
 
 
 def _smooth_cost(terms: Sequence[ResidualTerm], camera: Camera) -> float:
-    """Cost that ranks cameras which may be far from right."""
+    """Return a cost that ranks cameras which may be far from correct."""
     return sum(float(np.linalg.norm(np.arcsinh(off))) for off in residuals_of(terms, camera))

@@ -1,1 +1,1 @@
-"""From footage to detections: predict, follow between key frames, confirm, anonymise, live streams."""
+"""From footage to detections: predict, follow between key frames, confirm, anonymise, read live streams."""

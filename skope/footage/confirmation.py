@@ -1,8 +1,8 @@
-"""Confirmation of a video's detections by its other frames.
+"""Confirm a video's detections by its other frames.
 
 Boxes are linked from frame to frame (`skope.tracking.box_links`). A track with only one or two confident detections is
-left out. Weak detections stay in a track that is confident nearly all the time. A track that never moves is left out
-unless it has the size of a vehicle: vehicles that drive through a place tell the size expected there.
+dropped. Weak detections stay in a track that is confident in most frames. A track that never moves is dropped unless it
+has the size of a vehicle. The expected size comes from vehicles that drive through the same position.
 """
 
 from collections.abc import Sequence
@@ -17,55 +17,55 @@ from skope.tracking.box_links import LINK_LIMITS, BoxLinks, size_of
 from skope.types import Array, Integers32
 
 SizeSample = tuple[float, float, float]
-"""Place of a box on the road, x and y, and its size there, the square root of its area; pixels."""
+"""Position of a box on the road, x and y, and its size there, the square root of its area; pixels."""
 
 
 @dataclass(frozen=True)
 class ConfirmationLimits:
-    """Limits from which detections are confirmed by others."""
+    """Limits for confirming detections."""
 
     fewest_moving: int = 4
-    """Smallest number of moving vehicles that give the expected size of others."""
+    """Minimum number of moving vehicles that give the expected size of others."""
     size_sigma: float = 0.25
     """Relative standard deviation of vehicle sizes at one position."""
     size_sigmas: float = 2.0
-    """Largest difference from the expected size, in standard deviations of it."""
+    """Maximum difference from the expected size, in its standard deviations."""
     size_factor: float = 2.0
-    """Largest ratio to the expected size."""
+    """Maximum ratio to the expected size."""
     fit_rounds: int = 10
-    """Rounds of the robust fit of sizes."""
+    """Number of rounds of the robust fit of sizes."""
     weak_score: float = 0.2
-    """Detections above this score continue a vehicle that has higher scores in other frames."""
+    """Minimum score at which detections continue a vehicle that has higher scores in other frames."""
     fewest_frames: int = 3
-    """Smallest number of frames with high scores."""
+    """Minimum number of frames with high scores."""
     fewest_key_frames: int = 2
-    """The same if the detector runs on key frames only."""
+    """Minimum number of frames with high scores if the detector runs on key frames only."""
     high_share: float = 0.8
     """A vehicle keeps its weak detections if more than this share of its detections have high scores."""
     standing_sizes: float = 0.3
-    """A vehicle that never moves by more of its size stands."""
+    """Maximum motion of a stationary vehicle, in its sizes."""
     moving_sizes: float = 1.0
-    """A vehicle that moves by more of its size drives."""
+    """Minimum motion of a driving vehicle, in its sizes."""
 
 
 CONFIRMATION_LIMITS: Final = ConfirmationLimits()
 
 
 class ExpectedSizes:
-    """Expected sizes of vehicles at each place of the image.
+    """Expected sizes of vehicles at each position of the image.
 
-    On a plane inverse depth is affine in the image's coordinates, and so are sizes, but for the kinds of vehicles.
+    On a plane, inverse depth is affine in the image's coordinates. Sizes of one kind of vehicle therefore are, too.
     """
 
     def __init__(self, vehicles: Sequence[Sequence[SizeSample]]) -> None:
-        """`vehicles` are the samples of each vehicle that drove."""
+        """`vehicles` are the samples of each vehicle that moved."""
         self._enough = len(vehicles) >= CONFIRMATION_LIMITS.fewest_moving
         if self._enough:
             samples = np.array([sample for samples in vehicles for sample in samples])
             self._parameters, self._covariance = _fitted(samples)
 
     def allow(self, sample: SizeSample) -> bool:
-        """Whether a vehicle may be so large where it is; also where that cannot be told."""
+        """Return whether a vehicle may have this size at its position; also True if the expected size is unknown."""
         if not self._enough:
             return True
         *place, size = sample
@@ -80,9 +80,9 @@ class ExpectedSizes:
 
 
 def _fitted(samples: Array) -> tuple[Array, Array]:
-    """(3,) size at the origin and its slopes along x and y from (N, 3) samples x, y, size; (3, 3) their covariance.
+    """Fit sizes (N, 3) x, y, size; return (3,) size at the origin and its slopes along x and y, and their covariance.
 
-    Errors count relative to the size, large ones in proportion only (Huber).
+    Errors are relative to the size, and large ones have a linear cost (Huber).
     """
     design = np.column_stack([np.ones(len(samples)), samples[:, :2]]) / samples[:, 2:]
     weights = np.ones(len(samples))
@@ -96,23 +96,23 @@ def _fitted(samples: Array) -> tuple[Array, Array]:
 
 @dataclass(slots=True)
 class _Vehicle:
-    """Sights of one vehicle, or of what was taken for one; sizes are square roots of boxes' areas, pixels."""
+    """Detections of one possible vehicle; sizes are square roots of boxes' areas, pixels."""
 
     time_s: float = 0.0
-    """Of its last frame."""
+    """Time of its last frame, seconds."""
     seen: int = 0
-    """In how many frames it is."""
+    """Number of frames with the vehicle."""
     found: int = 0
-    """Number of frames in which the detector has found it; in others it is interpolated."""
+    """Number of frames in which it was detected; in others it is interpolated."""
     sure: int = 0
-    """Number of frames in which the detector has found it surely."""
+    """Number of frames in which it was detected with a high score."""
     lowest: Array = field(default_factory=lambda: np.full(2, np.inf))
-    """(2,) least x and y of its middle."""
+    """(2,) least x and y of its middle, pixels."""
     highest: Array = field(default_factory=lambda: np.full(2, -np.inf))
     sizes: float = 0.0
     """Sum of its sizes."""
     samples: list[SizeSample] = field(default_factory=list)
-    """Places of its box on the road, x and y, and its size there: one for each size that it has moved."""
+    """Positions of its box on the road, x and y, and its size there: one for each size that it has moved."""
 
     @property
     def size(self) -> float:
@@ -120,7 +120,7 @@ class _Vehicle:
 
     @property
     def moved(self) -> float:
-        """Way of its middle, in its sizes."""
+        """Displacement of its middle, in its sizes."""
         return float((self.highest - self.lowest).max()) / self.size
 
     def see(self, time_s: float, box: Array, *, sure: bool, interpolated: bool) -> None:
@@ -137,22 +137,22 @@ class _Vehicle:
 
 
 class Confirmation:
-    """Detections of a video, frame by frame, and which of them the others confirm."""
+    """Collects the detections of a video frame by frame, and selects those that other frames confirm."""
 
     def __init__(self, score: float, *, every: int = 1) -> None:
-        """Detections above `score` are sure; the detector sees each `every`-th frame."""
+        """Begin. Detections above `score` are confident; the detector runs on each `every`-th frame."""
         self._sure = score
         self._fewest = CONFIRMATION_LIMITS.fewest_frames if every == 1 else CONFIRMATION_LIMITS.fewest_key_frames
         self._links = BoxLinks()
         self._vehicles: dict[int, _Vehicle] = {}
-        """By number; those that were lost before they were surely seen are gone."""
+        """Vehicles by number, without those that were lost before a confident detection."""
         self._open: set[int] = set()
-        """Numbers of those that may be seen again."""
+        """Numbers of the vehicles that may still appear."""
         self._of: list[tuple[Integers32, list[bool]]] = []
-        """The vehicles that the detections of each frame belong to, and which of these are sure."""
+        """Per frame, the vehicles of its detections, and whether these are confident."""
 
     def add(self, time_s: float, found: Sequence[Found]) -> None:
-        """Take the detections of the next frame, which is later; sure ones choose their vehicles first."""
+        """Add the detections of the next frame; confident ones choose their vehicles first."""
         sure = [one.score > self._sure for one in found]
         numbers = self._links.add(time_s, found, sure)
         rectangles = box_math.xywh_to_xyxy(np.array([one.bbox for one in found]).reshape(-1, 4))
@@ -164,7 +164,7 @@ class Confirmation:
         self._of.append((numbers, sure))
 
     def _forget(self, time_s: float) -> None:
-        """End vehicles that were lost."""
+        """End the vehicles that were lost."""
         lost = {i for i in self._open if time_s - self._vehicles[i].time_s > LINK_LIMITS.lost_s}
         self._open -= lost
         for i in lost:
@@ -172,9 +172,9 @@ class Confirmation:
                 del self._vehicles[i]
 
     def confirmed(self) -> list[Integers32]:
-        """For each frame the number of each detection's vehicle, from 0; -1 for what the other frames do not confirm.
+        """Return for each frame the number of each detection's vehicle, from 0; -1 for unconfirmed detections.
 
-        Vehicles are numbered in the order in which they are first seen.
+        Vehicles are numbered in the order of their first detection.
         """
         seen = {i: one for i, one in self._vehicles.items() if one.sure >= self._fewest}
         sizes = ExpectedSizes([one.samples for one in seen.values() if one.moved > CONFIRMATION_LIMITS.moving_sizes])

@@ -1,13 +1,14 @@
-"""Road users in the frames between key frames: the detector sees key frames only, points on them are followed.
+"""Find road users in the frames between key frames: the detector runs on key frames only, points on them are tracked.
 
-Points on the vehicles of a key frame are followed through the frames up to the next one (Lucas and Kanade's method in
-pyramids; Bouguet, 2000), and from that one back. A vehicle that both key frames show is where both ways put it, each
-the more the nearer its key frame is. One that only one of them shows is followed from there alone, as far as its points
-can be: a detector misses vehicles more often than vehicles vanish. All that is one vehicle's has one `track_id`.
+Points on the vehicles of a key frame are tracked through the frames up to the next one (Lucas and Kanade's method in
+pyramids; Bouguet, 2000), and back from that one. A vehicle in both key frames has a mean of both positions, in which
+the nearer key frame has more weight. A vehicle in only one of them is followed from there alone, as far as its points
+can be tracked, because detectors miss vehicles more often than vehicles vanish. All results of one vehicle have one
+`track_id`.
 
-People on foot and on two wheels go the same way, by the points in the middle of their boxes, where their bodies are.
-Limbs and narrow bodies are followed less surely than sheet metal: who cannot be is led straight from one key frame to
-the next, if both show them in about the same place.
+Pedestrians and two-wheelers are followed by the points in the middle of their boxes, where their bodies are. Limbs and
+narrow bodies are tracked less reliably than sheet metal. If tracking fails, a road user is interpolated linearly
+between two key frames that both show it at about the same position.
 """
 
 import itertools
@@ -28,30 +29,30 @@ ImageWithPixels = tuple[Image, Pixels]
 
 @dataclass(frozen=True)
 class KeyFrameLimits:
-    """Key frames, and the limits of following vehicles between them."""
+    """Settings of key frames, and limits for following vehicles between them."""
 
     interval_s: float = 0.5
     """Time between key frames, seconds."""
     window_px: tuple[int, int] = (15, 15)
     """Sides of the window that is tracked around a point, pixels."""
     pyramid_levels: int = 4
-    """Levels of the image pyramid."""
+    """Number of levels of the image pyramid."""
     round_trip_px: float = 0.5
-    """Largest distance of a point from its start after it was tracked to the next frame and back, pixels."""
+    """Maximum distance of a point from its start after it was tracked to the next frame and back, pixels."""
     grid_shares: tuple[float, float, float, float] = (0.2, 0.4, 0.6, 0.8)
     """Grid of points that are tracked in addition to keypoints, as shares of the box's edges."""
     body_shares: tuple[float, float, float] = (0.35, 0.5, 0.65)
-    """Shares of the width for pedestrians and two-wheelers. Beside them the road shows."""
+    """Shares of the width for pedestrians and two-wheelers. Beside them the road is visible."""
     fewest_points: int = 4
-    """Smallest number of tracked points of a vehicle."""
+    """Minimum number of tracked points of a vehicle."""
     deviation_share: float = 0.02
-    """Largest deviation of a point from its vehicle's motion, as a share of the vehicle's size, at least a pixel."""
+    """Maximum deviation of a point from its vehicle's motion, as a share of the vehicle's size; at least a pixel."""
     growth: float = 1.25
-    """Largest factor by which a vehicle grows or shrinks from frame to frame."""
+    """Maximum factor by which a vehicle grows or shrinks from frame to frame."""
     same_iou: float = 0.3
-    """Least IoU of a vehicle tracked from one key frame with its detection in the next."""
+    """Minimum IoU of a vehicle tracked from one key frame with its detection in the next."""
     smallest_px: float = 4.0
-    """Boxes with a shorter edge inside the image are left out, pixels."""
+    """Minimum shorter edge of a box inside the image, pixels; smaller ones are dropped."""
 
 
 KEY_FRAME_LIMITS: Final = KeyFrameLimits()
@@ -66,13 +67,13 @@ def with_frames_between(
     every: int,
     known: Sequence[int] = (),
 ) -> Iterator[tuple[Image, list[AnyResult], bool]]:
-    """The road users of all frames of a video, of which the detector sees each `every`-th and the last.
+    """Yield the road users of all frames of a video; the detector runs on each `every`-th frame and the last.
 
     Args:
-        frames: Consecutive frames, of which the first is a key frame.
+        frames: Consecutive frames. The first is a key frame.
         find: Finds the road users of a key frame.
         every: Number of frames from one key frame to the next.
-        known: The `track_id` of each road user of the first frame, where it has been found before.
+        known: The `track_id` of each road user of the first frame, if it was processed before.
 
     Yields:
         Each image with its road users, and whether it is a key frame. Those of other frames are `interpolated`.
@@ -103,7 +104,7 @@ def with_frames_between(
 def _between(
     frames: Sequence[ImageWithPixels], first: Sequence[AnyResult], last: Sequence[AnyResult], names: Iterator[int]
 ) -> tuple[list[tuple[Image, list[AnyResult], bool]], list[AnyResult]]:
-    """The frames between two key frames, which are the ends of `frames`, with their vehicles; and those of the last."""
+    """Return the frames between two key frames, the ends of `frames`, with vehicles; and the vehicles of the last."""
     grey = [np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), dtype=np.uint8) for _, pixels in frames]
     ahead, back = _followed(grey, first), _followed(grey[::-1], last)
     pairs = _same(first, ahead, last)
@@ -129,24 +130,24 @@ def _between(
 
 @dataclass(frozen=True)
 class _Place:
-    """Place of a vehicle in a frame."""
+    """Position of a vehicle in a frame."""
 
     box: Array
     """(4,) x0, y0, x1, y1, pixels."""
     keypoints: Array
-    """(33, 3) as in `Result`; (0, 3) where it has none."""
+    """(33, 3) as in `Result`; (0, 3) if there are none."""
 
     @classmethod
     def of(cls, result: AnyResult) -> "_Place":
         return cls(box_math.xywh_to_xyxy(result.bbox[None])[0], _keypoints(result))
 
     def blended(self, other: "_Place", share: float) -> "_Place":
-        """Between two places, by the share of the other one."""
+        """Interpolate between two positions, with a share of the second one."""
         box = (1 - share) * self.box + share * other.box
         return _Place(box, (1 - share) * self.keypoints + share * other.keypoints)
 
     def moved(self, motion: Array) -> "_Place | None":
-        """Moved by a (2, 3) turn, scale and shift; None where it grows by more than vehicles do."""
+        """Apply a (2, 3) rotation, scale and shift; None if the vehicle grows more than vehicles do."""
         scale = float(np.hypot(motion[0, 0], motion[1, 0]))
         if not 1 / KEY_FRAME_LIMITS.growth < scale < KEY_FRAME_LIMITS.growth:
             return None
@@ -157,7 +158,7 @@ class _Place:
         return _Place(box.ravel(), np.column_stack([at, self.keypoints[:, 2]]))
 
     def result(self, image: Image, like: AnyResult, score: float) -> AnyResult | None:
-        """`like` at this place of an image, with another score; None where hardly anything of it is inside."""
+        """Return `like` at this position of an image, with another score; None if hardly any of it is inside."""
         box = np.clip(self.box, 0.0, [image.width, image.height] * 2)
         if (box[2:] - box[:2]).min() < KEY_FRAME_LIMITS.smallest_px:
             return None
@@ -171,7 +172,7 @@ def _keypoints(result: AnyResult) -> Array:
 
 
 Way: TypeAlias = list[_Place | None]
-"""Places of a vehicle, one in each frame; None where it is lost."""
+"""Positions of a vehicle, one per frame; None if it is lost."""
 
 
 def _followed(grey: Sequence[Pixels], vehicles: Sequence[AnyResult]) -> list[Way]:
@@ -192,7 +193,7 @@ def _followed(grey: Sequence[Pixels], vehicles: Sequence[AnyResult]) -> list[Way
 
 
 def _points(vehicle: AnyResult) -> Floats32:
-    """(P, 2) points of a vehicle to follow: its keypoints inside the box, and a grid."""
+    """Return (P, 2) points of a vehicle to track: its keypoints inside the box, and a grid."""
     at = _keypoints(vehicle)[:, :2]
     low, high = vehicle.bbox[:2], vehicle.bbox[:2] + vehicle.bbox[2:]
     inside = ((at > low) & (at < high)).all(axis=1)
@@ -202,10 +203,10 @@ def _points(vehicle: AnyResult) -> Floats32:
 
 
 def _flow(before: Pixels, after: Pixels, points: Floats32) -> Floats32:
-    """(P, 2) where points of a frame are in the next one; NaN where they cannot be followed there and back."""
+    """Return (P, 2) positions of points in the next frame; NaN if they cannot be tracked there and back."""
     if not len(points):
         return points
-    follow: Any = cv2.calcOpticalFlowPyrLK  # its types ask for an array to write to
+    follow: Any = cv2.calcOpticalFlowPyrLK  # its type hints require an output array
     there, found, _ = follow(
         before,
         after,
@@ -223,7 +224,7 @@ def _flow(before: Pixels, after: Pixels, points: Floats32) -> Floats32:
 
 
 def _step(place: _Place | None, old: Floats32, new: Floats32) -> _Place | None:
-    """A vehicle moved as most of its points are; None where they are too few."""
+    """Move a vehicle as most of its points move; None if they are too few."""
     if place is None or len(old) < KEY_FRAME_LIMITS.fewest_points:
         return None
     aside = max(1.0, KEY_FRAME_LIMITS.deviation_share * float(np.ptp(old, axis=0).max()))
@@ -233,7 +234,7 @@ def _step(place: _Place | None, old: Floats32, new: Floats32) -> _Place | None:
 
 
 def _same(first: Sequence[AnyResult], ahead: Sequence[Way], last: Sequence[AnyResult]) -> list[tuple[int, int]]:
-    """Pairs of road users of the first key frame, followed as far as they were, and those of the same category in the
+    """Return pairs of road users of the first key frame, as far as they were followed, and of the same category in the
     last one."""
     out: list[tuple[int, int]] = []
     for category in sorted({one.category_id for one in last}):
@@ -251,7 +252,7 @@ def _same(first: Sequence[AnyResult], ahead: Sequence[Way], last: Sequence[AnyRe
 
 
 def _merged(ahead: Way, back: Way) -> Way:
-    """The way of a vehicle that both key frames show: straight where it is lost on either way."""
+    """Merge the positions of a vehicle from both key frames, with linear interpolation where either lost it."""
     first, last = ahead[0], back[-1]
     assert first is not None
     assert last is not None

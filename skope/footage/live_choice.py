@@ -1,4 +1,4 @@
-"""Choice of the detector for a live stream: those that come with skope are timed on its first frame."""
+"""Select the detector for a live stream: the detectors that come with skope are timed on its first frame."""
 
 import itertools
 import statistics
@@ -16,59 +16,58 @@ from skope.terminal.console import Console
 from skope.types import Pixels
 
 TIMED_FRAMES: Final = 3
-"""Number of frames whose median time gives a detector's rate, after one that is not timed."""
+"""Number of timed frames; their median gives a detector's rate, after one warm-up frame."""
 
 
 class FrameDetector(Protocol):
-    """Finder of vehicles in frames: a `Predictor`, or several of which one is chosen."""
+    """Detector for frames: a `Predictor`, or several from which one is selected."""
 
     @property
     def scheme(self) -> Scheme:
-        """The keypoints."""
+        """Scheme of the keypoints."""
 
     @property
     def categories(self) -> tuple[str, ...]:
-        """Names of the categories that it knows."""
+        """Names of the categories."""
 
     @property
     def name(self) -> str:
-        """Its name in the package, or its file."""
+        """Name in the package, or file of the detector."""
 
     def each(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
-        """The results of one image after another, as they come."""
+        """Yield the results of consecutive images, each as soon as it is available."""
 
     def each_ahead(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
-        """The same, where images can wait."""
+        """Yield the results of images that may wait for a batch."""
 
 
 class LiveDetectorSelector:
-    """Detectors for a live stream, of which the first that keeps up with it looks at its frames."""
+    """Selects the first of several detectors that keeps up with a live stream, and runs it."""
 
     def __init__(self, candidates: Sequence[Predictor], every: int, console: Console) -> None:
-        """Prepare to choose.
+        """Prepare the selection.
 
         Args:
-            candidates: The detectors, which have the same keypoints and categories, the one that is to be preferred
-                first.
-            every: Every so many-th frame of the stream is wanted.
-            console: Where it is said how fast they are, and which one looks.
+            candidates: The detectors, in order of preference. They share keypoints and categories.
+            every: Frame stride of the stream.
+            console: Console for the measured rates and the selected detector.
         """
         self._candidates, self._every, self._console = list(candidates), every, console
 
     @classmethod
     def load(cls, given: str | None, settings: Settings, every: int, console: Console) -> "LiveDetectorSelector":
-        """Load the detectors that come with skope, or the `given` one of them. Raises UserError as `Predictor.load`."""
+        """Load the detectors that come with skope, or the `given` one. Raises UserError as `Predictor.load`."""
         names = weights.BY_ACCURACY if given is None else (given,)
         return cls([Predictor.load(Path(name), settings, console) for name in names], every, console)
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files of all detectors among which is chosen."""
+        """Files of all candidate detectors."""
         return tuple(path for one in self._candidates for path in one.files)
 
     @property
     def scheme(self) -> Scheme:
-        """The keypoints."""
+        """Scheme of the keypoints."""
         return self._candidates[0].scheme
 
     @property
@@ -78,11 +77,11 @@ class LiveDetectorSelector:
 
     @property
     def name(self) -> str:
-        """The name of the detector that looks."""
+        """Name of the selected detector."""
         return self._candidates[0].name
 
     def each(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
-        """Time the detectors on the first frame, say which one looks, and yield what it finds, frame by frame."""
+        """Time the detectors on the first frame, report the selected one, and yield its results frame by frame."""
         start = list(itertools.islice(images, 1))
         if start:
             rates = [_rate(one, *start[0]) for one in self._candidates]
@@ -93,7 +92,7 @@ class LiveDetectorSelector:
     each_ahead = each
 
     def _sent(self, start: Sequence[tuple[Image, Pixels]]) -> float | None:
-        """Frames a second that are wanted of the stream: those that came while the detectors were timed."""
+        """Return the frames per second to process: the rate of arrival while the detectors were timed."""
         if len(start) < 2:
             return None
         first, second = start[0][0], start[1][0]
@@ -102,19 +101,19 @@ class LiveDetectorSelector:
         return frames / self._every / seconds if seconds > 0 else None
 
     def _choose(self, rates: Sequence[float], sent: float | None) -> None:
-        """Keep the detector that is to look."""
+        """Select the detector to run."""
         fastest = max(range(len(rates)), key=lambda i: rates[i])
         chosen = 0 if sent is None else next((i for i, rate in enumerate(rates) if rate >= sent), fastest)
         each = ", ".join(f"{one.name} {rate:.1f}" for one, rate in zip(self._candidates, rates, strict=True))
         choice = f": {self._candidates[chosen].name} runs (--checkpoint names another)" if len(rates) > 1 else ""
-        came = "" if sent is None else f"the camera sends {sent:.1f} frames a second; "
+        came = "" if sent is None else f"the camera sends {sent:.1f} frames/s; "
         missed = "" if sent is None or rates[chosen] >= sent else f"; {1 - rates[chosen] / sent:.0%} are passed over"
-        self._console.say(f"{came}looks a second here: {each}{choice}{missed}")
+        self._console.say(f"{came}detector speed on this machine, frames/s: {each}{choice}{missed}")
         self._candidates = [self._candidates[chosen]]
 
 
 def _rate(predictor: Predictor, image: Image, pixels: Pixels) -> float:
-    """Looks a second at a frame."""
+    """Return the frames per second of a detector."""
     seconds = []
     for _ in range(1 + TIMED_FRAMES):
         begun = time.perf_counter()

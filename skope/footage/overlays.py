@@ -1,4 +1,4 @@
-"""Overlays: the results of a prediction, drawn over its footage, with plates, glass and heads anonymised on request."""
+"""Draw the results of a prediction over its footage, with plates, glass and heads anonymised on request."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -32,7 +32,7 @@ _BLURRED_PARTS: Final = tuple(
         ("taillight_inner_right", "taillight_inner_left", "bumper_rear_left", "bumper_rear_right"),
     )
 )
-"""Windscreen, rear window, side windows, and the lower middle of either end, where plates are."""
+"""Windscreen, rear window, side windows, and the lower middle of both ends, where plates are."""
 
 
 @dataclass(frozen=True)
@@ -40,23 +40,23 @@ class BlurCells:
     """Resolution of anonymised parts."""
 
     vehicle_cells: int = 8
-    """Cells across a vehicle. A plate is about a quarter of its width; nothing smaller than an eighth survives."""
+    """Number of cells across a vehicle. A plate is about a quarter of its width; details below an eighth disappear."""
     head_share: float = 0.4
-    """Share of the box of a pedestrian or rider that holds the head in any posture."""
+    """Share of the box of a pedestrian or rider that contains the head in any posture."""
     head_cells: int = 3
-    """Cells across that part. A head is at most about a third as wide as the box."""
+    """Number of cells across that part. A head is at most about a third as wide as the box."""
 
 
 BLUR_CELLS: Final = BlurCells()
 
 
 def blurred(image: Pixels, found: Iterable[Result], road_users: Iterable[RoadUserResult] = ()) -> Pixels:
-    """A copy of an image without glass, plates and heads, which are averaged away.
+    """Return a copy of an image in which glass, plates and heads are averaged.
 
     Args:
         image: (H, W, 3) RGB.
-        found: Vehicles, of which glass and plates go, hidden sides' too.
-        road_users: People on foot and on two wheels, of whom the upper part of the box goes, where the head is.
+        found: Vehicles. Their glass and plates are averaged, also those of hidden sides.
+        road_users: Pedestrians and two-wheelers. The upper part of their boxes is averaged, because it has the head.
     """
     out = image.copy()
     for user in road_users:
@@ -76,7 +76,7 @@ def blurred(image: Pixels, found: Iterable[Result], road_users: Iterable[RoadUse
 
 
 def _around(image: Pixels, bbox: Array) -> tuple[Pixels, tuple[int, int]]:
-    """The pixels, not a copy, of a box and a tenth around it, and the first column and row."""
+    """Return a view of the pixels of a box with a margin of a tenth, and its first column and row."""
     x, y, w, h = bbox
     x0, y0 = (int(max(0, v)) for v in (x - 0.1 * w, y - 0.1 * h))
     x1, y1 = int(min(image.shape[1], x + 1.1 * w)) + 1, int(min(image.shape[0], y + 1.1 * h)) + 1
@@ -84,7 +84,7 @@ def _around(image: Pixels, bbox: Array) -> tuple[Pixels, tuple[int, int]]:
 
 
 def _averaged(patch: Pixels, cells: int) -> Pixels:
-    """A patch of which nothing is left that is smaller than one of `cells` x `cells` cells."""
+    """Average a patch over `cells` x `cells` cells, so that no smaller detail remains."""
     small = cv2.resize(patch, (cells, cells), interpolation=cv2.INTER_AREA)
     flat = cv2.resize(small, (patch.shape[1], patch.shape[0]), interpolation=cv2.INTER_LINEAR)
     return np.asarray(flat, dtype=np.uint8)
@@ -93,21 +93,21 @@ def _averaged(patch: Pixels, cells: int) -> Pixels:
 OVERLAY_VIDEO: Final = "overlay.mp4"
 OVERLAY_FOLDER: Final = "overlays"
 KeepRule = Callable[[dict[str, Any]], list[dict[str, Any]]]
-"""The results of a frame, of its row in the file of progress, that stay."""
+"""Function from a frame's row in the progress file to the results to keep."""
 
 
 def write_overlay(
     job: PredictJob, progress: Progress, kept: KeepRule, count: int, scheme: Scheme, console: Console
 ) -> Path:
-    """Draw what was found: a video of a video, images of images.
+    """Draw the results: a video for a video, images for images.
 
     Args:
-        job: The footage, and where to write.
-        progress: The frames that were looked at, with their results.
-        kept: Gives the results that stay.
-        count: Number of frames, for the bar.
-        scheme: What the keypoints are.
-        console: Where the bar goes.
+        job: The footage and the output folder.
+        progress: The processed frames, with their results.
+        kept: Function that returns the results to keep.
+        count: Number of frames, for the progress bar.
+        scheme: Scheme of the keypoints.
+        console: Console for the progress bar.
 
     Returns:
         The video, or the folder of images.
@@ -132,7 +132,7 @@ def _drawn(job: PredictJob, progress: Progress, kept: KeepRule, scheme: Scheme) 
     for image, pixels in job.footage.frames():
         if row is None:
             return
-        if row["image"]["id"] == image.id:  # other images could not be read, and have no row
+        if row["image"]["id"] == image.id:  # images that could not be read have no row
             found, others = apart(map(coco.any_result_from_dict, kept(row)))
             shown = blurred(pixels, found, others) if job.blur else pixels
             yield image, draw.results(shown, found, others, scheme=scheme)

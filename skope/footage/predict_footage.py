@@ -1,4 +1,4 @@
-"""`skope eval predict`: a checkpoint run over footage, frame by frame, so that a stopped run goes on."""
+"""`skope eval predict`: run a checkpoint over footage, frame by frame, so that an interrupted run resumes."""
 
 import math
 import signal
@@ -51,33 +51,33 @@ from skope.types import Pixels
 from skope.video.footage import Footage
 
 _SWAY_PROCESSES: Final = 4
-"""Processes that measure the camera's sway beside a detector that sees every frame, at most, and one for so many
-processors: a GPU would wait for fewer."""
+"""Maximum number of processes that measure camera shake beside a detector that runs on every frame. The number of
+processors also limits it. With fewer, a GPU would wait."""
 
 
 class Watcher(Protocol):
-    """Looks at frames on their way to the detector."""
+    """Observer of frames on their way to the detector."""
 
     def watch(self, frames: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
-        """The same frames, in their order."""
+        """Yield the same frames, in their order."""
 
 
 def predict(job: PredictJob, console: Console) -> list[Path]:
-    """Run a checkpoint over footage, and write what it finds under `job.out`; a stopped run goes on.
+    """Run a checkpoint over footage, and write the results to `job.out`; an interrupted run resumes.
 
-    A live stream comes once: where a run of it was killed, what that one has is written, and nothing more is read.
+    A live stream cannot be read again. If its run was killed, the results so far are written, and nothing more is read.
 
     Args:
-        job: What to run, on what.
-        console: Where messages and progress go.
+        job: Footage and settings.
+        console: Console for messages and progress.
 
     Returns:
-        The files that were written. What could not be read is in `job.footage.skipped`.
+        The written files. Unreadable images are listed in `job.footage.skipped`.
 
     Raises:
-        UserError: No image can be read, or the output folder holds other work.
+        UserError: No image can be read, or the output folder holds the output of another run.
     """
-    # The frames of a live stream do not wait for a batch to be full.
+    # The frames of a live stream must not wait for a full batch.
     batch_size = job.settings.batch_size or (1 if job.footage.live else None)
     settings = replace(job.settings, min_score=job.least_score, batch_size=batch_size, one_size=job.footage.one_size)
     detector = _loaded(job, settings, console)
@@ -85,14 +85,14 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     prediction = Prediction(job, detector)
     if job.footage.clip and not job.footage.clip.square:
         console.warn(
-            f"{job.footage.name}: the video says that a pixel is {job.footage.clip.pixel_width:.2f} times as wide as "
-            "high; it is taken as stored. Rescaled to square ones it gives more vehicles, and a camera by them"
+            f"{job.footage.name}: the video states that a pixel is {job.footage.clip.pixel_width:.2f} times as wide as "
+            "high; it is used as stored. Rescale it to square pixels to detect more vehicles and calibrate the camera"
         )
     done = prediction.last
     if prediction.killed:
-        console.say(f"{job.footage.name}: a run was killed here after {counted(done, 'image')}: writing what it has")
+        console.say(f"{job.footage.name}: a run was killed here after {counted(done, 'image')}: writing its results")
     elif done:
-        console.say(f"{job.footage.name}: going on after frame {done}")
+        console.say(f"{job.footage.name}: resuming after frame {done}")
     bars = console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name)
     told = _tell_notes(job.footage, 0, console)
     with bars as bar, _ended_by_terminate(job.footage):
@@ -111,14 +111,14 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
 
 
 def _tell_notes(footage: Footage, told: int, console: Console) -> int:
-    """Report the notes on the footage from number `told` on; returns the number of notes."""
+    """Report the notes on the footage from number `told` on; return the number of notes."""
     for note in footage.notes[told:]:
         console.warn(note)
     return len(footage.notes)
 
 
 def _loaded(job: PredictJob, settings: Settings, console: Console) -> Predictor | LiveDetectorSelector:
-    """Load the job's detector; for a live stream those that come with skope, unless another is asked for."""
+    """Load the job's detector; for a live stream those that come with skope, unless another detector is requested."""
     given = None if job.checkpoint is None else str(job.checkpoint)
     if job.footage.live and (given is None or (given in weights.BY_ACCURACY and not Path(given).exists())):
         return LiveDetectorSelector.load(given, settings, job.footage.cut.every, console)
@@ -126,21 +126,21 @@ def _loaded(job: PredictJob, settings: Settings, console: Console) -> Predictor 
 
 
 class Prediction:
-    """Detections in footage: kept frame by frame in a file of progress, then written as results."""
+    """Detections in footage, stored frame by frame in a progress file, then written as results."""
 
     def __init__(self, job: PredictJob, detector: FrameDetector) -> None:
-        """Go on after what a stopped run has kept in the job's output folder."""
+        """Resume after the frames that an interrupted run has stored in the job's output folder."""
         self._job, self._detector = job, detector
         self._progress = Progress(job.out / PROGRESS_FILE, ("image", "results", "skipped", "key", "look", "motion"))
         self.images: list[Image] = []
-        """The frames so far, with the job's camera."""
+        """Frames so far, with the job's camera."""
         self._motions: list[ImageMotion | None] = []
-        """Of each frame."""
+        """Motion of each frame."""
         self._looks: list[tuple[float, str]] = []
-        """Small pictures, with their times in seconds."""
+        """Small images, with their times in seconds."""
         self._last_key = 1
         self._last_numbers: list[int] = []
-        """The `track_id` of each road user of the last key frame."""
+        """`track_id` of each road user of the last key frame."""
         for row in self._progress.rows():
             self._keep(coco.image_from_dict(row["image"]), motion_of_row(row["motion"]), row["look"])
             if START_TIME_KEY in row["image"]:
@@ -150,17 +150,17 @@ class Prediction:
                 self._last_numbers = [result.get("track_id", 0) for result in row["results"]]
             job.footage.skipped += [reason for reason in row["skipped"] if reason not in job.footage.skipped]
         self.killed = job.footage.live and bool(self.images)
-        """Whether a run of a live stream was killed here: it comes once, and nothing is added to what that run has."""
+        """Whether a run of a live stream was killed here. The stream cannot be read again, so nothing is added."""
 
     @property
     def last(self) -> int:
-        """Number of the last frame that was looked at, from 1; 0: none."""
+        """Number of the last processed frame, from 1; 0: none."""
         return self.images[-1].id if self.images else 0
 
     def frames(self, watched: Sequence["Watcher"] = ()) -> Generator[tuple[Image, list[AnyResult]]]:
-        """The frames that are left, each with all that is found in it, also what `write` will drop.
+        """Yield the remaining frames, each with all its detections, including those that `write` drops.
 
-        `watched` see the frames with their pixels before the detector does.
+        `watched` receive the frames with their pixels before the detector.
         """
         job, last = self._job, self.last
         if self.killed:
@@ -193,7 +193,7 @@ class Prediction:
             self._looks.append((image.time_s, look))
 
     def write(self, console: Console) -> list[Path]:
-        """Write predictions, frames and, where the job asks for them, overlays; returns their paths.
+        """Write predictions, frames and, on request, overlays; return their paths.
 
         Raises:
             UserError: No frame could be read.
@@ -235,7 +235,7 @@ class Prediction:
 
 @contextmanager
 def _ended_by_terminate(footage: Footage) -> Iterator[None]:
-    """Take the signal that ends services (SIGTERM) as Ctrl+C: what has come of a live stream is then written."""
+    """Treat the signal that ends services (SIGTERM) like Ctrl+C, so that the results of a live stream are written."""
     if not footage.live or threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -256,7 +256,7 @@ def _info(
     changed: Sequence[ViewChange],
     sways: CameraMotion | None,
 ) -> dict[str, Any]:
-    """The `info` of the frames: what is known of the footage."""
+    """Return the `info` of the frames on the footage."""
     info: dict[str, Any] = {"source": job.footage.name, "fps": job.footage.fps, **found_at(job), **job.camera_info}
     if job.footage.start_time is not None:
         info[START_TIME_KEY] = job.footage.start_time.isoformat(timespec="milliseconds")
@@ -276,8 +276,8 @@ def _info(
 
 
 def _sway_watch(job: PredictJob, last: int) -> CameraShakeEstimator:
-    """Make the measure of the camera's sway, against the first frame also where a run goes on."""
-    # Frames of a stream do not wait, and where the detector sees key frames only, it is what takes the time.
+    """Return the estimator of camera shake, relative to the first frame also if a run is resumed."""
+    # Frames of a stream do not wait. With key frames only, the detector takes most of the time.
     apart = not job.footage.live and job.key_every == 1
     processes = min(_SWAY_PROCESSES, usable_processors() // _SWAY_PROCESSES) if apart else 0
     if not last or job.footage.live:
@@ -288,12 +288,12 @@ def _sway_watch(job: PredictJob, last: int) -> CameraShakeEstimator:
 
 @dataclass
 class _Seen:
-    """Counts of what was found."""
+    """Counts of detections."""
 
     results: Counter[str] = field(default_factory=Counter)
-    """By category."""
+    """Number of detections by category."""
     numbers: dict[str, set[int]] = field(default_factory=lambda: defaultdict(set))
-    """Numbers of the road users of each category, where they were followed from image to image."""
+    """Numbers of the road users of each category, if they were followed from image to image."""
 
     def noted(self, result: dict[str, Any]) -> dict[str, Any]:
         category = CATEGORY_NAMES[result["category_id"] - 1]
@@ -324,18 +324,18 @@ def found_in(
     names: Sequence[int] = (),
     watched: Sequence[Watcher] = (),
 ) -> Iterator[tuple[Image, list[AnyResult], bool]]:
-    """Find vehicles and others in the frames of footage, from one number on.
+    """Yield the detections in the frames of footage, after a given frame.
 
     Args:
-        job: The footage, and how often it is looked at.
-        detector: Finds vehicles in a frame.
-        last: Frames up to this number are left out.
-        last_key: Number of the last of them that the detector had seen.
-        names: The `track_id` of each road user that it found there.
-        watched: Look at the frames on the way.
+        job: The footage, and the interval of key frames.
+        detector: The detector.
+        last: Number of the last frame to skip.
+        last_key: Number of the last key frame up to there.
+        names: The `track_id` of each road user in that key frame.
+        watched: Observers that receive the frames first.
 
     Yields:
-        A frame, what is found in it, and whether the detector has seen it.
+        A frame, its detections, and whether the detector has processed it.
     """
 
     def watch(frames: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
@@ -353,16 +353,16 @@ def found_in(
         ((_, found),) = detector.each(iter([frame]))
         return found
 
-    # A run that goes on begins with the key frame before, so that the frames after it become what they would have been.
+    # A resumed run starts with the previous key frame, so that the frames after it get the same results.
     for image, found, key in with_frames_between(watch(job.footage.frames(last_key - 1)), find, every, names):
         if image.id > last:
             yield image, found, key
 
 
 def _kept(job: PredictJob, progress: Progress, images: Sequence[Image]) -> KeepRule:
-    """The rule by which results of a frame stay: those above the score, in a video those that others confirm.
+    """Return the function that selects a frame's results: those above the score, in a video those that are confirmed.
 
-    In a video they have the number of their vehicle or other road user, from 1.
+    In a video they have the number of their road user, from 1.
     """
     times = [image.time_s for image in images if image.time_s is not None]
     interval = float(np.median(np.diff(times))) if job.links and len(times) > 1 else math.inf

@@ -1,4 +1,4 @@
-"""A run of a checkpoint on footage: its settings, by which its output folder is recognised, and its track numbers."""
+"""A run of a checkpoint on footage: its settings, its identity in the output folder, and its track numbers."""
 
 import hashlib
 import math
@@ -27,7 +27,7 @@ from skope.video.footage import FOUND_AT, Footage
 
 
 class Numbering(Protocol):
-    """Something that numbers the road users of one category, as `skope.footage.confirmation.Confirmation`
+    """Assigns numbers to the road users of one category, as `skope.footage.confirmation.Confirmation`
     does."""
 
     def add(self, time_s: float, found: Sequence[Found]) -> None: ...
@@ -36,39 +36,39 @@ class Numbering(Protocol):
 
 
 class Linked:
-    """All detections above a score, whether or not other frames confirm them."""
+    """Numbers all detections above a score, confirmed or not."""
 
     def __init__(self, score: float) -> None:
         self._score, self._links = score, BoxLinks()
         self._numbers: list[Integers32] = []
 
     def add(self, time_s: float, found: Sequence[Found]) -> None:
-        """Take the detections of the next frame, which is later."""
+        """Add the detections of the next frame."""
         sure = np.array([one.score > self._score for one in found], dtype=bool)
         self._numbers.append(np.where(sure, self._links.add(time_s, found), -1).astype(np.int32))
 
     def confirmed(self) -> list[Integers32]:
-        """For each frame the number of each detection, from 0; -1 for those that score less."""
+        """Return for each frame the number of each detection, from 0; -1 for lower scores."""
         return self._numbers
 
 
 class NumbersByCategory:
-    """A numbering for each category, whose numbers follow one another: vehicles have the first ones."""
+    """Numbering per category with consecutive ranges of numbers; vehicles have the first ones."""
 
     def __init__(self, make: Callable[[], Numbering]) -> None:
         self._of_category = {number: make() for number in range(1, 1 + len(CATEGORY_NAMES))}
         self._categories: list[Integers32] = []
-        """(N,) of each frame, ids of its detections' categories."""
+        """(N,) category ids of the detections, per frame."""
 
     def add(self, time_s: float, found: Sequence[AnyResult]) -> None:
-        """Take the detections of the next frame, which is later."""
+        """Add the detections of the next frame."""
         categories = np.array([one.category_id for one in found], dtype=np.int32)
         self._categories.append(categories)
         for category, numbering in self._of_category.items():
             numbering.add(time_s, [one for one in found if one.category_id == category])
 
     def confirmed(self) -> list[Integers32]:
-        """For each frame the number of each detection's road user, from 0; -1 for what is not confirmed."""
+        """Return for each frame the number of each detection's road user, from 0; -1 if not confirmed."""
         out = [np.full(len(categories), -1, dtype=np.int32) for categories in self._categories]
         count = 0
         for category, numbering in self._of_category.items():
@@ -80,36 +80,36 @@ class NumbersByCategory:
 
 
 PROGRESS_FILE: Final = ".predict.jsonl"
-"""A row for each frame that was looked at, until the results are written."""
+"""File with a row per processed frame, until the results are written."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PredictJob:
-    """A run of a checkpoint on footage, and what it writes."""
+    """Settings of a run of a checkpoint on footage."""
 
     footage: Footage
     checkpoint: Path | None
-    """The detector: a file, a run folder, or a name of what comes with skope; None: what suits the footage of these."""
+    """Detector: a file, a run folder, or a name that comes with skope; None: the one that suits the footage."""
     out: Path
     settings: Settings = field(default_factory=Settings)
     score: float = KEPT_SCORE
-    """Least score of a detection that is kept."""
+    """Minimum score of a detection that is kept."""
     camera: Camera | None = None
     camera_info: Mapping[str, float] = field(default_factory=dict)
-    """Further knowledge of the camera, for the `info` of the frames."""
+    """Further fields on the camera, for the `info` of the frames."""
     overlay: bool = False
     blur: bool = False
     unconfirmed: bool = False
-    """Whether detections in a video are kept that its other frames do not confirm."""
+    """Whether to keep detections in a video that its other frames do not confirm."""
     every_frame: bool = False
-    """Whether the detector sees every frame of a video, not key frames only."""
+    """Whether the detector runs on every frame of a video, not on key frames only."""
 
     @property
     def key_every(self) -> int:
-        """Number of frames from one that the detector sees to the next, where it runs on a CPU.
+        """Number of frames from one key frame to the next; 1 means that the detector runs on every frame.
 
-        Vehicles are followed through the frames of a recorded video that are dense enough for that; a live stream's
-        come as they can.
+        On a CPU, vehicles are followed through the frames of a recorded video if its frame rate is high enough. The
+        frames of a live stream come irregularly.
         """
         dense = self.footage.fps is not None and self.footage.fps * LINK_LIMITS.frame_gap_s >= 1
         if self.every_frame or not dense or choose_device(self.settings.device).type != "cpu":
@@ -118,12 +118,12 @@ class PredictJob:
 
     @property
     def least_score(self) -> float:
-        """Score from which the detector makes detections: weak ones continue vehicles of a video."""
+        """Minimum score of the detector's results: weak ones continue vehicles of a video."""
         return min(self.score, CONFIRMATION_LIMITS.weak_score) if self.confirms else self.score
 
     @property
     def confirms(self) -> bool:
-        """Whether frames are held against each other: those of a video, so far as it says how dense they are."""
+        """Whether detections are confirmed by other frames: in a video, unless its frame rate is too low."""
         return self.links and not self.unconfirmed
 
     @property
@@ -134,7 +134,7 @@ class PredictJob:
 
 
 def claim(job: PredictJob, files: Sequence[Path]) -> None:
-    """Take the output folder for this footage, a predictor's files and settings; overlays may come later."""
+    """Claim the output folder for this footage, a predictor's files and settings; overlays may be added later."""
     cut, settings = job.footage.cut, job.settings
     options = {
         "source": _killed_source(job) or content_of(job.footage),
@@ -155,7 +155,7 @@ def claim(job: PredictJob, files: Sequence[Path]) -> None:
 
 
 def _killed_source(job: PredictJob) -> str | None:
-    """Source of a killed run of a live stream in the output folder; None: there was none."""
+    """Return the source of a killed run of a live stream in the output folder; None: there was none."""
     if not job.footage.live or not (job.out / PROGRESS_FILE).is_file() or not (job.out / WORK_FILE).is_file():
         return None
     held = read_json(job.out / WORK_FILE)
@@ -165,7 +165,7 @@ def _killed_source(job: PredictJob) -> str | None:
 
 
 def content_of(footage: Footage) -> str:
-    """Identity of the frames: checksums of files, or of an address, which may hold a password; a live stream's time."""
+    """Return the identity of the frames: checksums of files or of an address (it may hold a password); or the time."""
     if footage.live:
         return f"{footage.name} of {datetime.now(UTC).isoformat()}"
     if footage.clip and footage.clip.on_server:
@@ -176,6 +176,6 @@ def content_of(footage: Footage) -> str:
 
 
 def found_at(job: PredictJob) -> dict[str, str]:
-    """Paths of the frames' pictures relative to the output folder, so that both may move together."""
+    """Return the path of the footage relative to the output folder, so that both may be moved together."""
     place = job.footage.place
     return {FOUND_AT: os.path.relpath(place.resolve(), job.out.resolve())} if place else {}

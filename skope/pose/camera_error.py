@@ -1,7 +1,7 @@
-"""Uncertainty of places, headings and speeds that comes from the camera's: one way for poses and tracks.
+"""Add the camera's uncertainty to positions, headings and speeds, in the same way for poses and tracks.
 
-All vehicles are off together, so that it is no part of what tells vehicles apart from frame to frame: it is added to
-what is written.
+The camera's error is common to all vehicles and does not help to distinguish them from frame to frame. It is therefore
+added only to what is written.
 """
 
 from collections.abc import Mapping
@@ -21,13 +21,13 @@ from skope.pose.estimate_pose import Poses
 from skope.types import Array
 
 CALIBRATED_FIELD: Final = "camera_calibrated"
-"""Under this name `skope eval predict` hands on of which seconds of which footage their camera was calibrated."""
+"""Key in `info`: the footage and time span that the camera was calibrated on, as `skope eval predict` writes it."""
 COVARIANCE_KEY: Final = "camera_covariance"
 """Key in `info` of the frames: the covariance of their camera."""
 
 
 def camera_info(path: Path) -> dict[str, Any]:
-    """Fields of frames' `info` on how well the camera of a file is known."""
+    """Return the fields of frames' `info` on the uncertainty of the camera in a file."""
     known = read_uncertain_camera(path)
     seconds = calibrated_seconds(path)
     return {
@@ -37,13 +37,13 @@ def camera_info(path: Path) -> dict[str, Any]:
 
 
 def calibrated_seconds(path: Path) -> dict[str, Any] | None:
-    """Of which part of which footage the camera of a file was calibrated: `source` and `seconds`; None: of any."""
+    """Return `source` and `seconds` of the footage on which a camera file was calibrated; None: not restricted."""
     told = read_json(path).get("calibrated") if is_camera_json(path) else None
     return {key: told[key] for key in ("source", "seconds")} if isinstance(told, dict) and "seconds" in told else None
 
 
 def camera_of_info(name: str, info: Mapping[str, Any], camera: Camera | None) -> UncertainCamera | None:
-    """The camera of frames, as well as their `info` says that it is known; None where it says nothing.
+    """Return the camera of frames with the covariance in their `info`; None if there is none.
 
     Args:
         name: The file's name, for errors.
@@ -65,12 +65,12 @@ def camera_of_info(name: str, info: Mapping[str, Any], camera: Camera | None) ->
 
 
 def with_camera_error(poses: Poses, known: UncertainCamera | None, ground: Ground | None) -> Poses:
-    """Poses whose covariances hold the camera's error too.
+    """Add the camera's error to the covariances of poses.
 
     Args:
-        poses: Poses, whose covariances are those given the camera.
-        known: How well the camera is known; None: nothing says it, and the poses stay as they are.
-        ground: The road; None: unknown, and the poses stay as they are.
+        poses: Poses with covariances for a known camera.
+        known: The camera with its uncertainty; None: unknown, and the poses are returned unchanged.
+        ground: The road; None: unknown, and the poses are returned unchanged.
     """
     if known is None or ground is None or not len(poses.covariance):
         return poses
@@ -87,15 +87,15 @@ def with_camera_error(poses: Poses, known: UncertainCamera | None, ground: Groun
 def camera_errors(
     known: UncertainCamera, places: Array, velocities: Array, slope: tuple[float, float]
 ) -> tuple[Array, Array]:
-    """Covariances of places and velocities that the camera's error adds.
+    """Return the covariances of positions and velocities from the camera's error.
 
-    Where the camera does not see a place, all ways are off by the share that those it sees are.
+    If the camera does not see a position, the relative error of distances is used for its velocity.
 
     Args:
-        known: How well the camera is known.
-        places: (N, 3) on the road, world, metres.
-        velocities: (N, 2) m/s.
-        slope: Metres that the road rises per metre along world x and y.
+        known: The camera with its uncertainty.
+        places: (N, 3) positions on the road, world, metres.
+        velocities: (N, 2) velocities, m/s.
+        slope: Rise of the road per metre along world x and y.
 
     Returns:
         (N, 2, 2) square metres, and (N, 2, 2) (m/s)^2.

@@ -1,8 +1,8 @@
-"""Starts of the search for a pose: each body type's mean placed on the keypoints, without iterating over its pose.
+"""Starts of the pose search: place each body type's mean shape on the keypoints in closed form.
 
-On a known ground a vehicle has a place (x, y) and a heading, and x_camera - u z_camera = 0 is linear in x, y, cos and
-sin for keypoints of known height: least squares over the four, whose cos^2 + sin^2 also gives the ratio of the
-vehicle's size to the type's mean. Without a ground OpenCV's SQPnP (Terzakis and Lourakis, 2020) starts each type.
+On a known ground, a vehicle has a position (x, y) and a heading. For keypoints of known height, x_camera - u z_camera =
+0 is linear in x, y, cos and sin. Least squares over the four also gives the ratio of the vehicle's size to the mean,
+from cos^2 + sin^2. Without a ground, OpenCV's SQPnP (Terzakis and Lourakis, 2020) gives the start of each type.
 """
 
 from dataclasses import dataclass
@@ -41,19 +41,19 @@ class Starts:
     p: Array
     """(N, J, 3) positions, metres."""
     R: Array
-    """(N, J, 3, 3) from the vehicle's axes to the world's, or to the camera's where the ground is unknown."""
+    """(N, J, 3, 3) from the vehicle's axes to the world's, or to the camera's if the ground is unknown."""
     cost: Array
-    """(N, J) twice the negative log likelihood, roughly."""
+    """(N, J) approximate twice the negative log likelihood."""
 
     def take(self, chosen: NDArray[np.intp]) -> "Starts":
-        """The starts `chosen` (N, J') of each vehicle."""
+        """Return the starts `chosen` (N, J') of each vehicle."""
         row = np.arange(len(chosen))[:, None]
         return Starts(self.p[row, chosen], self.R[row, chosen], self.cost[row, chosen])
 
     def gathered(self, times: int) -> "Starts":
-        """(N * times, J) -> (N, times * J): all starts of a vehicle in its row.
+        """Reshape (N * times, J) to (N, times * J): all starts of a vehicle in one row.
 
-        `self` holds the N vehicles `times` times, one block after another.
+        `self` holds the N vehicles `times` times, in consecutive blocks.
         """
         n = len(self.p) // times
 
@@ -66,21 +66,21 @@ class Starts:
 
 
 def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | None = None) -> Starts:
-    """Place each body type's mean on the keypoints of each vehicle, standing on the road.
+    """Place each body type's mean on the keypoints of each vehicle, on the road.
 
     Args:
         seen: Keypoints of N vehicles.
         shapes: T body types.
         ground: The level road.
-        chosen: (N, 33) which keypoints to place it by; None: all that count.
+        chosen: (N, 33) keypoints to use for placing; None: all that count.
 
     Returns:
-        (N, T) starts. Their cost is over all keypoints that count, whatever is chosen.
+        (N, T) starts. Their cost is over all keypoints that count, regardless of `chosen`.
     """
     # A keypoint (x, y, z) of the body lies at (X + c x - s y, Y + s x + c y, z) in the world, where X, Y are the place
     # and c, s are cosine and sine of the heading. Each keypoint gives two equations, rows . world = -shift, that are
     # linear in X, Y, c, s: those of its column and its row in the image.
-    # X and Y count from the camera's foot: what they are in the world may be millions, as those of UTM are.
+    # X and Y count from the camera's foot, because world coordinates may be millions, as in UTM.
     R = seen.T_camera_world[:3, :3]
     foot = -R.T @ seen.T_camera_world[:3, 3] * [1.0, 1.0, 0.0]
     t = seen.T_camera_world[:3, 3] + R @ foot
@@ -97,17 +97,17 @@ def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | Non
     A = np.concatenate([A[0], A[1]], axis=2)
     b = np.concatenate([b[0], b[1]], axis=2)
     w = np.broadcast_to(np.concatenate([weight, weight], axis=1)[:, None], b.shape)
-    # An equation's error is in metres at the keypoint's depth: the first round takes all keypoints to be equally deep,
-    # the second divides by the depths that the first one found.
+    # An equation's error is in metres at the keypoint's depth. The first round assumes equal depths, the second uses
+    # the depths of the first.
     for last in (False, True):
         AT = np.swapaxes(A, -1, -2)
         normal = (AT * w[:, :, None]) @ A + 1e-9 * np.eye(4)
         solution = np.linalg.solve(normal, AT @ (w * b)[..., None])[..., 0]
-        # The length of (c, s) is the vehicle's size over the mean's: it is 1 where the mean is only turned.
+        # The length of (c, s) is the vehicle's size relative to the mean: 1 for a pure rotation.
         size = np.maximum(np.hypot(solution[..., 2], solution[..., 3]), 1e-9)
         turn = solution[..., 2:] / size[..., None]
         c, s = turn[..., :1], turn[..., 1:]
-        # The mean is placed unscaled, with its middle where the scaled one's is.
+        # The mean is placed unscaled, with its middle at that of the scaled one.
         world = np.empty((*c.shape[:2], *body.shape[2:]))
         world[..., 0] = solution[..., :1] + c * x - s * y
         world[..., 1] = solution[..., 1:2] + s * x + c * y
@@ -117,7 +117,7 @@ def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | Non
         if last:
             break
         w = np.concatenate([weight, weight], axis=1)[:, None] / np.concatenate([depth, depth], axis=-1) ** 2
-    # Cost of the misfit, and of a size that vehicles of the type do not have.
+    # Cost of the misfit, and of an unlikely size for the type.
     cost = _cost(seen, seen_from) + (np.log(size) / START_ERRORS.log_size) ** 2
     # The starts as positions and rotation matrices.
     zero = np.zeros_like(c[..., 0])
@@ -134,16 +134,16 @@ def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | Non
 
 
 def placed_anywhere(seen: Observed, shapes: Shapes, chosen: Mask | None = None) -> Starts:
-    """Place each body type's mean on the keypoints of each vehicle, anywhere before the camera, by SQPnP.
+    """Place each body type's mean on the keypoints of each vehicle, anywhere in front of the camera, by SQPnP.
 
     Args:
         seen: Keypoints of N vehicles.
         shapes: T body types.
-        chosen: (N, 33) which keypoints to place it by; None: all that count.
+        chosen: (N, 33) keypoints to use for placing; None: all that count.
 
     Returns:
-        (N, T) starts in the camera's frame; `START_ERRORS.impossible_cost` costs what has fewer than four keypoints,
-        or no solution.
+        (N, T) starts in the camera's frame. With fewer than four keypoints, or without a solution, the cost is
+        `START_ERRORS.impossible_cost`.
     """
     mask = seen.counted if chosen is None else chosen
     n, kinds = len(mask), len(shapes.types)
@@ -167,7 +167,7 @@ def placed_anywhere(seen: Observed, shapes: Shapes, chosen: Mask | None = None) 
 
 
 def _cost(seen: Observed, points: Array) -> Array:
-    """Cost (N, T) of vehicles whose keypoints lie at `points` (N, T, 33, 3) in the camera frame, metres."""
+    """Return the cost (N, T) of vehicles with keypoints at `points` (N, T, 33, 3) in the camera frame, metres."""
     depth = points[..., 2]
     near = np.maximum(depth, KEYPOINT_WEIGHTS.nearest_m)
     away = (points[..., :2] / near[..., None] - seen.xy[:, None]) * seen.focal

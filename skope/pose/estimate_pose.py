@@ -1,15 +1,15 @@
-"""Position, heading and shape of vehicles from their keypoints, many vehicles at once.
+"""Estimate position, heading and shape of many vehicles from their keypoints at once.
 
-Each vehicle is a deformable model (`skope.pose.shape_model`) that is moved, turned and bent until its keypoints
-project to where they were found: the most probable pose and shape given
+Each vehicle is a deformable model (`skope.pose.shape_model`). It is moved, turned and deformed until its keypoints
+project to the detected ones. The result is the most probable pose and shape, given
 
-- keypoints that are off by `sigma_px`, more where their score is lower, with the heavy tails of a Cauchy distribution;
-- shapes as vehicles of the body type have them;
-- wheels that stand on the road, where `ground` says where that is.
+- keypoint errors of `sigma_px`, larger for lower scores, with the heavy tails of a Cauchy distribution;
+- the distribution of shapes of the body type;
+- wheels on the road, if `ground` is known.
 
-The search starts from every body type's mean (on a known ground in closed form: `skope.pose.closed_form_starts`),
-goes on by Levenberg and Marquardt's method from the best few, and is repeated for vehicles that do not fit
-(`skope.pose.search`). What is not supported by enough keypoints is refused.
+The search starts from the mean of every body type (in closed form on a known ground: `skope.pose.closed_form_starts`)
+and continues with Levenberg and Marquardt's method from the best few. It is repeated for vehicles that do not fit
+(`skope.pose.search`). Poses without enough supporting keypoints are rejected.
 """
 
 import math
@@ -34,34 +34,34 @@ REJECTION_REASONS: Final = ("few_keypoints", "on_a_line", "no_fit", "inconsisten
 more than 60% of the keypoints contradict the rest; the covariance is too large to be useful.
 """
 POSE_FLAGS: Final = (*EXCHANGE_FLAGS, "outliers", "heading_in_doubt", "end_in_doubt", "cut")
-"""Reasons to distrust a pose: keypoints that fit only with left and right, or front and rear, or both taken for each
-other; some keypoints left out; another heading fits about as well; the keypoints that are seen belong to the end that
-faces away from the camera; the image shows a part of the vehicle only."""
+"""Reasons to distrust a pose: keypoints that fit only with left and right, front and rear, or both exchanged; some
+keypoints left out; a second heading that fits about as well; visible keypoints that belong to the end facing away from
+the camera; a vehicle that is only partly in the image."""
 
 
 @dataclass(frozen=True)
 class PoseLimits:
-    """Limits of poses that are accepted."""
+    """Limits for accepting poses."""
 
     chunk_vehicles: int = 128
     """Number of vehicles that are computed together. It limits memory."""
     agreement: float = 0.4
-    """Smallest share of the keypoints that must agree with a pose. Detectors that learn from visible keypoints
-    alone put the hidden half anywhere, with a high score."""
+    """Minimum share of the keypoints that must agree with a pose. Detectors trained on visible keypoints only put the
+    hidden half anywhere, with a high score."""
     doubt: float = 0.8
     """Share of agreeing keypoints below which other starts are tried."""
     heading_cost_gap: float = 6.0
-    """Difference of cost within which another heading is as good."""
+    """Difference of cost within which a second heading is as good."""
     impossible_cost: float = 1e5
-    """Cost from which a fit is impossible."""
+    """Cost at and above which a fit is impossible."""
     beside_m: float = 6.0
-    """Distance before or behind a vehicle's middle from which a camera sees only one of its ends, metres."""
+    """Distance in front of or behind a vehicle's middle beyond which a camera sees only one of its ends, metres."""
     lamp_margin: float = 0.4
-    """The lamps of the other end contradict a pose if their probability is higher by this much."""
+    """Difference in probability by which the lamps of the other end must be higher to contradict a pose."""
     heading_rad: float = math.radians(25)
-    """Largest useful standard deviation of a heading, radians."""
+    """Maximum standard deviation of a useful heading, radians."""
     distance_share: float = 0.1
-    """Largest useful standard deviation of the position, as a share of the distance; at least 1 m."""
+    """Maximum standard deviation of a useful position, as a share of the distance; at least 1 m."""
 
 
 POSE_LIMITS: Final = PoseLimits()
@@ -72,12 +72,12 @@ _REAR_LAMPS: Final = [i for i, name in enumerate(keypoints.NAMES) if name.starts
 
 
 NUMERIC_FIELDS: Final = ("T_world_vehicle", "points", "size_lwh", "covariance", "rms_px")
-"""Fields of `Poses` that are numbers, NaN for a vehicle without a pose."""
+"""Numeric fields of `Poses`, NaN for a vehicle without a pose."""
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Poses and shapes of N vehicles; where `refusal` is not None the numbers are NaN."""
+    """Poses and shapes of N vehicles. If `refusal` is not None, the numbers are NaN."""
 
     T_world_vehicle: Array
     """(N, 4, 4) from the vehicle frame (x forward, y left, z up, origin on the ground under its middle) to the world,
@@ -87,23 +87,23 @@ class Poses:
     size_lwh: Array
     """(N, 3) length, width, height, metres."""
     covariance: Array
-    """(N, 4, 4) of x, y, z (world, metres) and the turn about the vehicle's upright axis (radians)."""
+    """(N, 4, 4) covariance of x, y, z (world, metres) and the turn about the vehicle's upright axis (radians)."""
     types: tuple[str, ...]
-    """(N,) the body type that fits best."""
+    """(N,) best-fitting body type."""
     used: NDArray[np.bool_]
     """(N, 33) whether each keypoint counts and agrees with the pose."""
     rms_px: Array
-    """(N,) root mean square distance in the image of the keypoints that agree, pixels."""
+    """(N,) root mean square distance in the image of the agreeing keypoints, pixels."""
     refusal: tuple[str | None, ...]
     """(N,) one of `REJECTION_REASONS` for a vehicle without a pose, else None."""
     flags: tuple[tuple[str, ...], ...]
-    """(N,) those of `POSE_FLAGS` that hold for each vehicle."""
+    """(N,) flags of each vehicle, from `POSE_FLAGS`."""
 
     def __len__(self) -> int:
         return len(self.types)
 
     def moved(self, T: Array) -> Self:
-        """The vehicles in another world frame: `T` (4, 4) leads to it from this one."""
+        """Return the vehicles in another world frame; `T` (4, 4) transforms this frame to it."""
         turn = np.eye(4)
         turn[:3, :3] = T[:3, :3]
         return replace(self, T_world_vehicle=T @ self.T_world_vehicle, covariance=turn @ self.covariance @ turn.T)
@@ -115,7 +115,7 @@ class Poses:
         return np.asarray(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
 
     def among(self, rows: NDArray[np.bool_], refusal: str) -> Self:
-        """The vehicles as the `rows` (M,) of M; the others are refused for one reason, and their numbers are NaN."""
+        """Return M vehicles with these at `rows` (M,); the others are rejected for one reason, with NaN as numbers."""
         count, at = len(rows), np.flatnonzero(rows)
 
         def spread(values: NDArray[Any], fill: float) -> NDArray[Any]:
@@ -137,7 +137,7 @@ class Poses:
         )
 
     def without_refused(self) -> Self:
-        """The same with NaN for the numbers of vehicles that are refused."""
+        """Return the same poses with NaN for the numbers of rejected vehicles."""
         refused = np.array([reason is not None for reason in self.refusal], dtype=bool)
         blank = {name: getattr(self, name).copy() for name in NUMERIC_FIELDS}
         for values in blank.values():
@@ -146,7 +146,7 @@ class Poses:
 
     @property
     def position(self) -> Array:
-        """(N, 3) on the ground under the middle of the box, world."""
+        """(N, 3) position on the ground under the middle of the box, world, metres."""
         return self.T_world_vehicle[:, :3, 3]
 
 
@@ -159,20 +159,19 @@ def locate(
     shapes: Shapes | None = None,
     cut: ArrayLike = False,
 ) -> Poses:
-    """Pose and shape of vehicles from their keypoints.
+    """Estimate pose and shape of vehicles from their keypoints.
 
     Args:
-        camera: The camera that took the image.
-        points: (N, 33, 3) x, y in pixels and the probability that the point is right; of 0 it does not count.
+        camera: The camera of the image.
+        points: (N, 33, 3) x, y in pixels and the probability that the point is correct; with 0 it does not count.
         sigma_px: Standard deviation of a keypoint of probability 1, pixels: one for all vehicles, or (N,).
-        ground: Where the road is in the camera's world; None: unknown, so that distance rests on the size of vehicles
-            alone.
+        ground: The road in the camera's world; None: unknown, and distance follows from the size of vehicles alone.
         shapes: The body types to choose from; None: those of the fleet.
-        cut: Whether the image's edge may cut a vehicle: one for all vehicles, or (N,). Keypoints beyond the edge do not
-            count then.
+        cut: Whether the image's edge may cut a vehicle: one for all vehicles, or (N,). Keypoints beyond the edge then
+            do not count.
 
     Returns:
-        Poses of the N vehicles, in the camera's world; those that cannot be told are refused.
+        Poses of the N vehicles, in the camera's world; those that cannot be estimated are rejected.
     """
     found = np.asarray(points, dtype=np.float64).reshape(-1, keypoints.K, 3)
     sigma = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), len(found))
@@ -182,14 +181,14 @@ def locate(
         camera, flat = levelled(camera, ground)
         level = locate(camera, found, sigma_px=sigma, ground=flat, shapes=space, cut=at_edge)
         return level.moved(ground.T_world_level)
-    rng = np.random.default_rng(0)  # which subsets are tried must not depend on what was run before
+    rng = np.random.default_rng(0)  # a fixed seed makes the result independent of earlier calls
     parts = [slice(i, i + POSE_LIMITS.chunk_vehicles) for i in range(0, len(found), POSE_LIMITS.chunk_vehicles)]
     chunks = [_locate_chunk(camera, found[part], sigma[part], at_edge[part], ground, space, rng) for part in parts]
     return _joined(chunks).without_refused()
 
 
 def levelled(camera: Camera, ground: Ground) -> tuple[Camera, Ground]:
-    """Camera and ground in the frame in which the ground is the level z = 0 (`Ground.T_world_level`)."""
+    """Return camera and ground in the frame in which the ground is the level z = 0 (`Ground.T_world_level`)."""
     flat = replace(ground, height=0.0, slope=(0.0, 0.0), about=(0.0, 0.0))
     return replace(camera, T_camera_world=camera.T_camera_world @ ground.T_world_level), flat
 
@@ -231,13 +230,13 @@ def _to_poses(
     squared = fits.squared[:, 0]
     used = (squared <= INLIER_VARIANCES) & seen.counted
     agreeing = used.sum(axis=1)
-    # Where residuals are larger than `sigma_px` promises, the covariance grows by their excess (reduced chi-squared).
+    # If residuals exceed `sigma_px`, the covariance grows by the excess (reduced chi-squared).
     excess = np.where(used, squared, 0.0).sum(axis=1) + (fits.a[:, 0] ** 2).sum(axis=1)
     excess /= np.maximum(1, 2 * agreeing - (6 if ground is None else 3))
     covariance = fits.covariance(np.maximum(1.0, excess))
     T = np.tile(np.eye(4), (len(used), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = fits.R[:, 0], fits.p[:, 0]
-    if ground is None:  # worked out in the camera's frame
+    if ground is None:  # the fit is in the camera's frame
         to_world = np.linalg.inv(camera.T_camera_world)
         T = to_world @ T
         turn = np.eye(4)

@@ -1,4 +1,4 @@
-"""Fit the likeliest body types to vehicles: place every type's mean, optimise the few best."""
+"""Fit the most likely body types to vehicles: place every type's mean, optimise the few best."""
 
 from typing import Final
 
@@ -16,11 +16,11 @@ from skope.types import Array, Mask
 Kinds = NDArray[np.intp]
 
 FEWEST_KEYPOINTS: Final = {True: 4, False: 6}
-"""Keypoints that a pose needs, with (True) and without (False) a known ground."""
+"""Minimum number of keypoints for a pose, with (True) and without (False) a known ground."""
 INLIER_VARIANCES: Final = 9.0
-"""Squared distance, in variances, up to which a keypoint agrees."""
+"""Maximum squared distance, in variances, of an agreeing keypoint."""
 _KEPT_TYPES: Final = 2
-"""Body types that go on from the start."""
+"""Number of body types that are optimised after the start."""
 
 
 def vehicle_starts(seen: Observed, shapes: Shapes, ground: Ground | None, chosen: Mask | None = None) -> Starts:
@@ -28,9 +28,9 @@ def vehicle_starts(seen: Observed, shapes: Shapes, ground: Ground | None, chosen
 
     Args:
         seen: N vehicles.
-        shapes: The body types, each of which has a start.
-        ground: The road; None: the size of vehicles tells distance.
-        chosen: (N, 33) keypoints to begin from; None: all that count.
+        shapes: The body types; each gets a start.
+        ground: The road; None: distance follows from the size of vehicles.
+        chosen: (N, 33) keypoints to start from; None: all that count.
     """
     return (
         closed_form_starts.on_ground(seen, shapes, ground, chosen)
@@ -46,18 +46,18 @@ def refined(seen: Observed, shapes: Shapes, ground: Ground | None, starts: Start
         seen: Keypoints of N vehicles.
         shapes: The body types.
         ground: The road; None: unknown.
-        starts: A start for each vehicle and type.
-        kinds: (N, kept) types that go on.
+        starts: One start per vehicle and type.
+        kinds: (N, kept) types to optimise.
 
     Returns:
-        (N, kept) fits, the best first.
+        (N, kept) fits, best first.
     """
     chosen = np.argsort(starts.cost, axis=1)[:, : min(_KEPT_TYPES, starts.cost.shape[1])]
     return refine(seen, shapes, ground, starts.take(chosen), kinds[chosen]).ordered()
 
 
 def best_types(seen: Observed, shapes: Shapes, ground: Ground | None) -> Fits:
-    """Fit the likeliest body types to each vehicle, the best first; no search as in `skope.pose.search`.
+    """Fit the most likely body types to each vehicle, best first; without the search of `skope.pose.search`.
 
     Args:
         seen: Keypoints of N vehicles.
@@ -68,6 +68,6 @@ def best_types(seen: Observed, shapes: Shapes, ground: Ground | None) -> Fits:
 
 
 def agreeing_share(seen: Observed, fits: Fits) -> Array:
-    """(N,) share of the keypoints that count which agree with the best fit."""
+    """Return (N,) the share of the counted keypoints that agree with the best fit."""
     agree = (fits.squared[:, 0] <= INLIER_VARIANCES) & seen.counted
     return np.asarray(agree.sum(axis=1) / np.maximum(seen.count, 1))

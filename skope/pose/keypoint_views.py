@@ -1,4 +1,4 @@
-"""Vehicles' keypoints image by image, with the camera of each: what poses and tracks are worked out from."""
+"""Keypoints of vehicles by image, with the camera of each image: the input for poses and tracks."""
 
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -39,18 +39,18 @@ class ViewErrors:
     """Error model of predicted keypoints and boxes."""
 
     match_iou: float = 0.6
-    """IoU from which a detection belongs to a ground-truth vehicle."""
+    """Minimum IoU at which a detection belongs to a ground-truth vehicle."""
     sigma_share: float = 0.02
-    """Standard deviation of a predicted keypoint as a share of its box's longer edge, at least a pixel."""
+    """Standard deviation of a predicted keypoint as a share of its box's longer edge; at least a pixel."""
     edge_share: float = 0.04
-    """Largest distance from the image's edge to a predicted box that it cuts, as a share of the box's longer edge."""
+    """Maximum distance from the image's edge of a predicted box that is cut, as a share of the box's longer edge."""
     edge_px: float = 4.0
-    """Least of that distance, pixels."""
+    """Minimum of that limit, pixels."""
     pushed_share: float = 0.02
-    """Largest distance of a keypoint from the edge that cuts its box to be taken as pushed there by the detector,
-    as a share of the box's longer edge."""
+    """Maximum distance of a keypoint from the edge that cuts its box at which it counts as pushed there by the
+    detector, as a share of the box's longer edge."""
     pushed_px: float = 2.0
-    """Least of that distance, pixels."""
+    """Minimum of that limit, pixels."""
 
 
 VIEW_ERRORS: Final = ViewErrors()
@@ -58,11 +58,11 @@ VIEW_ERRORS: Final = ViewErrors()
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """The keypoints of the N vehicles of one image."""
+    """Keypoints of the N vehicles of one image."""
 
     image: Image
     found: Array
-    """(N, 33, 3) x, y in pixels, and the probability that the point is right."""
+    """(N, 33, 3) x, y in pixels, and the probability that the point is correct."""
     sigma_px: Array
     """(N,) standard deviation of a keypoint of probability 1, pixels."""
     scores: Array
@@ -70,48 +70,49 @@ class View:
     boxes: Array
     """(N, 4) x, y, width, height, pixels."""
     cut: NDArray[np.bool_]
-    """(N,) whether the box reaches the image's edge: the image may show a part of the vehicle only."""
+    """(N,) whether the box reaches the image's edge, so that the vehicle may be only partly visible."""
     truth: tuple[Annotation | None, ...]
-    """(N,) the ground-truth vehicle that each is, or that it matches; None where there is none or it is not known."""
+    """(N,) the labelled or matching ground-truth vehicle; None if there is none or it is unknown."""
     interpolated: NDArray[np.bool_]
-    """(N,) whether it was followed from other frames, in place of being found in this one."""
+    """(N,) whether the vehicle was followed from other frames, not detected in this one."""
     tracks: NDArray[np.int64]
-    """(N,) number of the vehicle, which other images of its video share; -1 where that is not known."""
+    """(N,) number of the vehicle, shared with other images of its video; -1 if unknown."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Images, the keypoints of the vehicles in them, and what is known of camera and road."""
+    """Images with the keypoints of their vehicles, camera and road."""
 
     file: AnnotationFile
     results: Iterable[Result] | None
-    """Read more than once; a file's lie in the order of the images. None: the annotations' own keypoints are taken."""
+    """Detections; read more than once. Those of a file are in the order of the images. None: the annotations' own
+    keypoints are used."""
     camera: Camera | None
     """Camera of all images, in place of the images' own; None: each image has its own."""
     ground: Ground | None
     """The road; None: unknown."""
     left_out: str | None = None
-    """Images of the file that are not here, as they show another view, in words; None: all are here."""
+    """Sentence on images of the file that are left out because they show another view; None: all are used."""
     road_users: Iterable[RoadUserResult] | None = None
-    """The other road users that were found, in any order; may be of other images too. None: the annotations' own."""
+    """Other detected road users, in any order, also of other images. None: those of the annotations."""
     roads: Mapping[int, Ground | None] = field(default_factory=dict)
-    """The road in single images, by their ids, of a file of several cameras."""
+    """Roads by image id, for a file with several cameras."""
     known: UncertainCamera | None = None
-    """The camera of all images with its covariance; None: nothing says how well it is known."""
+    """The camera of all images with its covariance; None: the uncertainty is unknown."""
     motion: CameraMotion | None = None
-    """Sway of the camera around where it is calibrated; None: it stands still, as far as is known."""
+    """Shake of the camera around its calibrated orientation; None: the camera is still, as far as known."""
     moved: frozenset[int] = frozenset()
-    """Ids of images that another view than the calibrated one shows: they have no places in metres."""
+    """Ids of images with another view than the calibrated one: they have no positions in metres."""
     turned: Mapping[int, Camera] = field(default_factory=dict)
-    """Cameras of images, by their ids, that a turn of the calibrated camera took: they have places in metres."""
+    """Cameras by image id for images of a turned calibrated camera: they have positions in metres."""
 
     @property
     def has_truth(self) -> bool:
-        """Whether the annotations hold 3D boxes that poses can be measured against."""
+        """Whether the annotations have 3D boxes, which poses can be compared with."""
         return any(a.box_3d is not None for a in self.file.annotations)
 
     def camera_of(self, image: Image) -> Camera:
-        """The camera of an image, at the image's size. Raises UserError where neither scene nor image has one."""
+        """Return the camera of an image, at the image's size. Raise UserError if neither scene nor image has one."""
         camera = self.turned.get(image.id) or self.camera or image.camera
         if camera is None:
             raise UserError(
@@ -121,35 +122,35 @@ class Scene:
         return sized(camera, (image.width, image.height), image.file_name)
 
     def camera_in(self, image: Image) -> Camera:
-        """The camera of an image as its sway has turned it then. Raises UserError as `camera_of` does."""
+        """Return the camera of an image as turned by its shake. Raises UserError as `camera_of` does."""
         camera = self.camera_of(image)
         return self.motion.camera_in(camera, image.id) if self.motion else camera
 
     def sway_in(self, image: Image) -> UncertainCamera | None:
-        """Uncertainty of the camera in one image that its sway leaves; None: it stands still."""
+        """Return the camera's uncertainty in one image from its shake; None: the camera is still."""
         return self.motion.rest_in(self.camera_of(image), image.id) if self.motion else None
 
     def moved_in(self, image: Image) -> bool:
-        """Whether the camera had been moved when the image was taken, so that its calibration says nothing."""
+        """Return whether the camera had been moved before the image, so that its calibration is invalid."""
         return image.id in self.moved
 
     def known_in(self, image: Image) -> UncertainCamera | None:
-        """The camera of an image, as far as it is known how well; None: it is not."""
+        """Return the camera of an image with its uncertainty; None if that is unknown."""
         return self.known.of_camera(self.camera_of(image)) if self.known else None
 
     def road_in(self, image: Image) -> Ground | None:
-        """The road in an image; None: unknown."""
+        """Return the road in an image; None: unknown."""
         return self.roads.get(image.id, self.ground)
 
     def calibrated_part(self) -> "Scene":
-        """The scene without the images of which the calibration does not hold."""
+        """Return the scene without the images for which the calibration is invalid."""
         if not self.moved and not self.turned:
             return self
         kept = (image for image in self.file.images if not self.moved_in(image) and image.id not in self.turned)
         return replace(self, file=part_of(self.file, kept), moved=frozenset(), turned={})
 
     def stilled(self, view: View) -> View:
-        """A view with its keypoints where they would be if the camera did not sway."""
+        """Return a view with its keypoints where they would be without camera shake."""
         image = view.image
         if self.motion is None or image.id not in self.motion.frames:
             return view
@@ -161,12 +162,11 @@ class Scene:
     def views(
         self, *, score: float = KEPT_SCORE, sigma_px: float | None = None, noise: float = 0.0, seed: int = 0
     ) -> Iterator[View]:
-        """Every image with its detections, or its labelled vehicles, one after the other.
+        """Yield every image with its detections, or its labelled vehicles.
 
         Args:
-            score: Detections above this are taken.
-            sigma_px: Standard deviation of a keypoint that a pose search shall reckon with, pixels; None: 2% of the
-                box, or the noise.
+            score: Minimum score of detections.
+            sigma_px: Standard deviation of a keypoint for the pose search, pixels; None: 2% of the box, or the noise.
             noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
             seed: Seed of that noise.
         """
@@ -194,7 +194,7 @@ class Scene:
                     yield _predicted(image, [], sigma_px)
 
     def _matched(self, score: float) -> list[tuple[Result, Annotation | None]]:
-        """Detections above `score`, in file order, each with the ground-truth vehicle that it matches."""
+        """Return detections above `score`, in file order, each with its matching ground-truth vehicle."""
         here = {image.id for image in self.file.images}
         kept = [result for result in self.results or () if result.score > score and result.image_id in here]
         matches = match(self.file, kept, score=score, thresholds=(VIEW_ERRORS.match_iou,))
@@ -225,7 +225,7 @@ def _labelled(
 
 
 def view_of(detections: "Detections") -> View:
-    """An image by itself and what a detector found in it."""
+    """Return the view of one image and a detector's results in it."""
     width, height = detections.size
     image = Image(id=1, file_name="image", width=width, height=height)
     return _predicted(image, [(result, None) for result in detections.to_results(image.id)], None)
@@ -243,7 +243,7 @@ def _predicted(image: Image, pairs: list[tuple[Result, Annotation | None]], sigm
     scores = np.array([r.score for r in results])
     longer = boxes[:, 2:].max(axis=1, initial=0.0)
     reached = _margins(image, boxes) <= np.maximum(VIEW_ERRORS.edge_px, VIEW_ERRORS.edge_share * longer)[:, None]
-    # Detectors put keypoints that lie beyond the image at its edge, with high scores: those do not count.
+    # Detectors put keypoints outside the image at its edge, with high scores: those do not count.
     edges = _margins(image, np.concatenate([found[..., :2], np.zeros_like(found[..., :2])], axis=-1))
     at_edge = (edges <= np.maximum(VIEW_ERRORS.pushed_px, VIEW_ERRORS.pushed_share * longer)[:, None, None]) & reached[
         :, None
@@ -256,7 +256,7 @@ def _predicted(image: Image, pairs: list[tuple[Result, Annotation | None]], sigm
 
 
 def _margins(image: Image, boxes: Array) -> Array:
-    """(..., 4) pixels between boxes x, y, width, height and the left, top, right and bottom edge of the image."""
+    """Return (..., 4) pixels between boxes x, y, width, height and the left, top, right, bottom edge of the image."""
     x, y, w, h = np.moveaxis(boxes, -1, 0)
     return np.stack([x, y, image.width - x - w, image.height - y - h], axis=-1)
 
@@ -268,15 +268,15 @@ def read_scene(
     camera: Path | None,
     ground: float | None,
 ) -> Scene:
-    """Read the keypoints that poses and tracks are worked out from.
+    """Read the keypoints for poses and tracks.
 
     Args:
-        folder: What `skope eval predict` wrote. Either this or `annotations` is given.
-        annotations: COCO file with the images and perhaps their cameras and vehicles.
+        folder: Output folder of `skope eval predict`. Either this or `annotations` is given.
+        annotations: COCO file with the images and optionally their cameras and vehicles.
         predictions: COCO results for the images; None: those in `folder`, or the annotations' own keypoints.
         camera: File of the camera of all images; None: each image has its own.
-        ground: Height of the level road in the camera's world, metres; None: unknown, as it is where the camera file
-            has no pose.
+        ground: Height of the level road in the camera's world, metres; None: unknown. It is also unknown if the camera
+            file has no pose.
 
     Raises:
         UserError: Both or neither of `folder` and `annotations` are given, or a file is missing or malformed.
@@ -296,7 +296,7 @@ def read_scene(
     motion = motion_of_info(file.name, file.info)
     if camera is None:
         shown = file.images[0].camera if file.images else None
-        if shown is None:  # whose camera is still to be found
+        if shown is None:  # the camera is still to be calibrated
             file, left_out = _longest_view(file)
             road = None if ground is None else Ground(height=ground)
             return Scene(file, results, None, road, left_out, users, motion=motion)
@@ -326,14 +326,14 @@ def read_scene(
 
 
 def _parts(file: AnnotationFile, views: Sequence[KnownView]) -> NDArray[np.intp] | None:
-    """(N,) index in `views` of the view that each image shows, or `REGISTRATION_LIMITS.moving_view`; None: all show
-    one, as far as is known."""
+    """Return (N,) the index in `views` for each image, or `REGISTRATION_LIMITS.moving_view`; None: all images show one
+    view, as far as known."""
     times = [image.time_s for image in file.images if image.time_s is not None]
     return view_numbers(views, times) if len(views) > 1 and len(times) == len(file.images) > 0 else None
 
 
 def _longest_view(file: AnnotationFile) -> tuple[AnnotationFile, str | None]:
-    """The images of the longest part of a video that shows one view, and what was left out, in words."""
+    """Return the images of the longest part of a video with one view, and a sentence on what was left out."""
     views = read_views(file.name, file.info)
     part = _parts(file, views)
     if part is None:
@@ -341,7 +341,7 @@ def _longest_view(file: AnnotationFile) -> tuple[AnnotationFile, str | None]:
     kept = np.flatnonzero(part == int(np.bincount(part[part != REGISTRATION_LIMITS.moving_view]).argmax()))
     begin, end = (file.images[i].time_s for i in (kept[0], kept[-1]))
     words = (
-        f"{file.name}: the view changes ({counted(len(views) - 1, 'time')}); taken is the longest part, "
+        f"{file.name}: the view changes ({counted(len(views) - 1, 'time')}); the longest part is used, "
         f"from {begin:.1f} to {end:.1f} s"
     )
     return part_of(file, (file.images[i] for i in kept)), words
@@ -349,22 +349,22 @@ def _longest_view(file: AnnotationFile) -> tuple[AnnotationFile, str | None]:
 
 @dataclass(frozen=True, eq=False)
 class _OtherViews:
-    """The images that show other views than the calibrated one."""
+    """Images with other views than the calibrated one."""
 
     lost: frozenset[int] = frozenset()
-    """Ids of those that have no metres."""
+    """Ids of the images without positions in metres."""
     turned: Mapping[int, Camera] = field(default_factory=dict)
-    """Cameras of the others, by the ids of their images."""
+    """Cameras of the others, by image id."""
     added: Mapping[tuple[str, ...], Array] = field(default_factory=dict)
-    """Covariances that finding the least certain of the turns adds to the camera's."""
+    """Covariances that the least certain of the turns adds to the camera's."""
     words: str | None = None
 
 
 def _other_views(file: AnnotationFile, calibrated: object, camera: Camera | None) -> _OtherViews:
-    """Find the images of which a calibration does not hold, and the cameras of those to which it can be turned.
+    """Return the images for which a calibration is invalid, and the cameras of those to which it can be turned.
 
-    It is one of the view with which the footage begins, unless it says (`source`, `seconds`) that it is of another.
-    `camera` is None where nothing says where it hung: then it cannot be turned.
+    The calibration belongs to the first view of the footage, unless its `source` and `seconds` name another one.
+    `camera` is None if its pose is unknown: then it cannot be turned.
     """
     views = read_views(file.name, file.info)
     part = _parts(file, views)
@@ -403,7 +403,7 @@ def _other_views(file: AnnotationFile, calibrated: object, camera: Camera | None
 
 
 def _turned_views(views: Sequence[KnownView], valid: int, camera: Camera) -> dict[int, TurnedView]:
-    """The views, by their index, to which the camera of view `valid` was surely turned."""
+    """Return the views, by index, to which the camera of view `valid` was reliably turned."""
     calibrated = views[valid].from_first
     found = dict[int, TurnedView]()
     for k, view in enumerate(views):

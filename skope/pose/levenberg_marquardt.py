@@ -1,8 +1,8 @@
-"""The most probable pose and shape of many vehicles at once, by Levenberg and Marquardt's method.
+"""Estimate the most probable pose and shape of many vehicles at once by Levenberg and Marquardt's method.
 
-Unknown are a small shift and turn and the shape's numbers, 6 + M a vehicle. The residuals are those of the keypoints in
-the image (over their standard deviations, weighted as Cauchy's distribution does), the shape's numbers themselves, and
-on a known ground the height of the vehicle's origin and the lean of its upright axis.
+The unknowns are a small shift and turn and the shape parameters, 6 + M per vehicle. The residuals are those of the
+keypoints in the image (in standard deviations, with the weights of Cauchy's distribution), the shape parameters, and on
+a known ground the height of the vehicle's origin and the lean of its upright axis.
 """
 
 from dataclasses import dataclass, fields
@@ -28,9 +28,9 @@ class OptimiserLimits:
     most_iterations: int = 12
     """Maximum number of steps."""
     behind_cost: float = 1e6
-    """Squared distance that stands for a keypoint behind the camera."""
+    """Squared distance assigned to a keypoint behind the camera."""
     settled: float = 1e-5
-    """A fit is settled when a step lowers its cost by less than this share."""
+    """Relative decrease of the cost in a step below which a fit has converged."""
 
 
 OPTIMISER_LIMITS: Final = OptimiserLimits()
@@ -38,35 +38,35 @@ OPTIMISER_LIMITS: Final = OptimiserLimits()
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """J fits for each of N vehicles, in the world frame (in the camera's when the ground is unknown)."""
+    """J fits for each of N vehicles, in the world frame (in the camera's if the ground is unknown)."""
 
     p: Array
     """(N, J, 3) positions, metres."""
     R: Array
     """(N, J, 3, 3) from the vehicle's axes to those of the frame."""
     a: Array
-    """(N, J, M) the shape's numbers, each of unit variance among vehicles of the body type."""
+    """(N, J, M) shape parameters, with unit variance among vehicles of the body type."""
     kind: NDArray[np.intp]
     """(N, J) index of the body type."""
     cost: Array
-    """(N, J) twice the negative log of the probability, but for a constant."""
+    """(N, J) twice the negative log probability, up to a constant."""
     squared: Array
     """(N, J, 33) squared distances in the image between keypoints and the fit, in variances."""
     variance: Array
-    """(N, J, 33) variances of the keypoints, pixels squared, with what the shape space leaves out."""
+    """(N, J, 33) variances of the keypoints, pixels squared, including shape residuals outside the shape space."""
     normal: Array
     """(N, J, 6 + M, 6 + M) normal matrices in shift (metres), turn about the vehicle's own axes (radians) and shape."""
 
     def shaped(self, n: int, j: int) -> "Fits":
-        """Fits whose arrays begin with an axis (N * J,) as fits of shape (N, J)."""
+        """Return fits with arrays that begin with an axis (N * J,) as fits of shape (N, J)."""
         return Fits(*(value.reshape(n, j, *value.shape[1:]) for value in (getattr(self, f.name) for f in fields(self))))
 
     def take(self, rows: NDArray[np.intp]) -> "Fits":
-        """A copy of the fits of the vehicles `rows`."""
+        """Return a copy of the fits of the vehicles `rows`."""
         return Fits(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def ordered(self) -> "Fits":
-        """The fits of each vehicle by rising cost."""
+        """Return the fits of each vehicle by rising cost."""
         order, row = np.argsort(self.cost, axis=1, kind="stable"), np.arange(len(self.cost))[:, None]
         return Fits(*(getattr(self, f.name)[row, order] for f in fields(self)))
 
@@ -76,21 +76,21 @@ class Fits:
         Args:
             rows: (R,) vehicles of these fits.
             other: Fits of R vehicles, in the order of `rows`.
-            better: (R,) which of them are taken from `other`.
+            better: (R,) whether to take the fit from `other`.
         """
         for f in fields(self):
             getattr(self, f.name)[rows[better]] = getattr(other, f.name)[better]
 
     def covariance(self, scale: Array) -> Array:
-        """(N, 4, 4) covariance of position (metres) and heading (radians) of each vehicle's best fit.
+        """Return the (N, 4, 4) covariance of position (metres) and heading (radians) of each vehicle's best fit.
 
-        It is the inverse of the normal matrix times `scale` (N,), plus the spread between the best and the worst fit,
-        which are of different body types, each as probable as its cost says. Fits that head elsewhere do not count.
+        It is the inverse of the normal matrix times `scale` (N,), plus the spread between the best and the worst fit.
+        These have different body types, with probabilities from their costs. Fits with another heading do not count.
         """
         # Covariance of the best fit itself: rows and columns of x, y, z and the turn about the upright axis.
         eye = 1e-12 * np.eye(self.normal.shape[-1])
         within = np.linalg.inv(self.normal[:, 0] + eye)[:, [0, 1, 2, 5]][..., [0, 1, 2, 5]] * scale[:, None, None]
-        # How far the last fit is from the best one, in position and heading.
+        # Difference of the last fit from the best one, in position and heading.
         turn = np.einsum("nij,njk->nik", np.swapaxes(self.R[:, 0], -1, -2), self.R[:, -1])
         angle = np.arctan2(turn[:, 1, 0] - turn[:, 0, 1], turn[:, 0, 0] + turn[:, 1, 1])
         apart = np.concatenate([self.p[:, -1] - self.p[:, 0], angle[:, None]], axis=1)
@@ -106,9 +106,9 @@ def refine(seen: Observed, shapes: Shapes, ground: Ground | None, starts: Starts
     Args:
         seen: Keypoints of N vehicles.
         shapes: The body types.
-        ground: Where the road is; None: unknown, and the poses are in the camera's frame.
-        starts: (N, J) poses to begin from.
-        kind: (N, J) index of the body type that each start has.
+        ground: The road; None: unknown, and the poses are in the camera's frame.
+        starts: (N, J) initial poses.
+        kind: (N, J) index of the body type of each start.
 
     Returns:
         (N, J) fits, in the order of the starts.
@@ -121,14 +121,14 @@ def refine(seen: Observed, shapes: Shapes, ground: Ground | None, starts: Starts
 
 
 class _Problem:
-    """The optimisation problems of B vehicles, each with one body type and one start, solved together.
+    """Optimisation problems of B vehicles, each with one body type and one start, solved together.
 
-    Arrays hold only so many keypoints k a vehicle as count in the vehicle with most of them.
+    Arrays have k keypoints per vehicle, the largest number of counted keypoints of any vehicle.
     """
 
     def __init__(self, seen: Observed, shapes: Shapes, ground: Ground | None, kind: NDArray[np.intp]) -> None:
         self._kind, self._ground = kind, ground
-        # Without a ground the camera's frame is the world.
+        # Without a ground, the camera's frame is the world.
         self._T = np.eye(4) if ground is None else seen.T_camera_world
         most = max(1, int(seen.count.max(initial=1)))
         # The keypoints that count come first; the first k columns hold all of them.
@@ -138,22 +138,22 @@ class _Problem:
         self._xy = seen.xy[row, self._which]
         self._measured = seen.variance[row, self._which]  # pixels^2, of the measurement
         self._focal = seen.focal
-        # Variance of what the shape space leaves out: at a depth of 1 m, pixels^2.
+        # Variance of residuals outside the shape space: at a depth of 1 m, pixels^2.
         self._rest = (seen.focal.mean() * shapes.rest[kind[:, None], self._which]) ** 2
         self._mean = shapes.mean[kind[:, None], self._which]  # (B, k, 3)
         self._directions = np.moveaxis(shapes.directions, 1, -1)[kind[:, None], self._which]  # (B, k, 3, M)
 
     def solve(self, p: Array, R: Array) -> Fits:
-        """Optimise from B positions `p` (B, 3) and orientations `R` (B, 3, 3), which are changed.
+        """Optimise from B positions `p` (B, 3) and orientations `R` (B, 3, 3), which are changed in place.
 
-        Returns a fit for each start, in arrays without the axis J. A step that makes the cost higher is undone.
+        Returns one fit per start, in arrays without the axis J. A step that increases the cost is undone.
         """
         a = np.zeros((len(p), self._directions.shape[-1]))
         damping = np.full(len(p), 1e-3)
         cost, squared, variance, normal, gradient = self._linearised(p, R, a)
         live = np.arange(len(p))
         for _ in range(OPTIMISER_LIMITS.most_iterations):
-            # Solve (H + damping diag H) step = -gradient for the vehicles that are not settled.
+            # Solve (H + damping diag H) step = -gradient for the vehicles that have not converged.
             part = self._part(live)
             H = normal[live].copy()
             diagonal = np.einsum("bii->bi", H)
@@ -168,14 +168,14 @@ class _Problem:
             there = part._linearised(*moved)
             better = there[0] <= cost[live]
             gained = cost[live] - there[0]
-            # Keep what is better, and trust the linearisation more there, less elsewhere.
+            # Keep improvements, and lower the damping there; raise it elsewhere.
             good = live[better]
             for mine, other in zip((p, R, a), moved, strict=True):
                 mine[good] = other[better]
             for mine, other in zip((cost, squared, variance, normal, gradient), there, strict=True):
                 mine[good] = other[better]
             damping[live] *= np.where(better, 0.1, 10.0)
-            # Leave those whose last step gained next to nothing, and those that not even a tiny step makes better.
+            # Drop vehicles with almost no gain in the last step, and those that no tiny step improves.
             live = live[~(better & (gained < OPTIMISER_LIMITS.settled * (1 + cost[live]))) & (damping[live] < 1e8)]
             if not live.size:
                 break
@@ -190,7 +190,7 @@ class _Problem:
         return Fits(p, R, a, self._kind, cost, all_squared, all_variance, normal)
 
     def _part(self, rows: NDArray[np.intp]) -> "_Problem":
-        """The problems `rows`; copies nothing where that is all of them."""
+        """Return the problems `rows`; without a copy if that is all of them."""
         if len(rows) == len(self._kind):
             return self
         out = object.__new__(_Problem)
@@ -200,16 +200,16 @@ class _Problem:
         return out
 
     def _linearised(self, p: Array, R: Array, a: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """The cost at positions (B, 3), orientations (B, 3, 3) and shapes (B, M), and its Gauss-Newton approximation.
+        """Return the cost at positions (B, 3), orientations (B, 3, 3) and shapes (B, M), and its linearisation.
 
         Returns cost (B,), squared distances and variances (B, k), and the normal matrix (B, 6 + M, 6 + M) and gradient
         (B, 6 + M) of half the cost.
         """
-        # Where the keypoints are: in the vehicle, in the world, before the camera.
+        # Keypoints in the vehicle frame, in the world and in the camera frame.
         body = self._mean + np.einsum("bkim,bm->bki", self._directions, a)
         world = body @ np.swapaxes(R, -1, -2) + p[:, None]
         x, y, z = np.moveaxis(world @ self._T[:3, :3].T + self._T[:3, 3], -1, 0)
-        # How far they are from where they were found, pixels, and how much that counts (Cauchy's distribution).
+        # Residuals in the image, pixels, and their weights (Cauchy's distribution).
         front = z > KEYPOINT_WEIGHTS.nearest_m
         near = np.where(front, z, KEYPOINT_WEIGHTS.nearest_m)
         fx, fy = self._focal
@@ -231,7 +231,7 @@ class _Problem:
         for i in range(3):
             term = by_body[..., i, None] * self._directions[:, :, None, i]
             J[..., 6:] = term if i == 0 else J[..., 6:] + term
-        # Normal equations of the keypoints, then of the shape's numbers, which are of unit variance.
+        # Normal equations of the keypoints, then of the shape parameters, which have unit variance.
         J = J.reshape(len(p), -1, 6 + m)
         away = away.reshape(len(p), -1, 1)
         weighted = np.swapaxes(J * np.repeat(weight, 2, axis=1)[..., None], -1, -2)
@@ -244,7 +244,7 @@ class _Problem:
         return cost, squared, variance, normal, gradient
 
     def _on_road(self, p: Array, R: Array, normal: Array, gradient: Array) -> Array:
-        """Cost (B,) of not standing on the road; adds its part to `normal` and `gradient`.
+        """Return the cost (B,) of not standing on the road; add its part to `normal` and `gradient`.
 
         The three residuals are the height of the vehicle's origin over the road and the x and y of its upright axis, in
         standard deviations.
@@ -264,5 +264,5 @@ class _Problem:
 
 
 def _from_above(p: Array, R: Array) -> NDArray[np.bool_]:
-    """(B,) whether the camera, upright itself, sees upright vehicles from above their road."""
+    """Return (B,) whether an upright camera sees upright vehicles from above their road."""
     return np.asarray((R[:, 1, 2] < 0) & (np.einsum("bi,bi->b", p, R[:, :, 2]) < 0))

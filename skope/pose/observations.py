@@ -1,4 +1,4 @@
-"""Keypoints as a pose search needs them: without lens distortion, with a variance each, under Cauchy's distribution.
+"""Keypoints prepared for a pose search: without lens distortion, each with a variance, with Cauchy's distribution.
 
 The heavy tails of Cauchy's distribution keep a few wrong keypoints from deciding the pose.
 """
@@ -22,23 +22,23 @@ class KeypointWeights:
     tail_variances: float = 9.0
     """Squared distance, in variances, at which the weight of a keypoint is one half."""
     least_probability: float = 0.2
-    """Keypoints below this probability are not used."""
+    """Minimum probability of a used keypoint."""
     nearest_m: float = 0.5
-    """Least depth of a keypoint before the camera, metres."""
+    """Minimum depth of a keypoint in front of the camera, metres."""
     thinness: float = 0.04
-    """Breadth over length of the keypoints in the image below which they lie on a line."""
+    """Ratio of breadth to length of the keypoints in the image below which they lie on a line."""
 
 
 KEYPOINT_WEIGHTS: Final = KeypointWeights()
 
 
 def cost(squared: Array) -> Array:
-    """Twice the negative log likelihood of distances that are given squared and in variances, but for a constant."""
+    """Return twice the negative log likelihood of squared distances in variances, up to a constant."""
     return np.asarray(KEYPOINT_WEIGHTS.tail_variances * np.log1p(squared / KEYPOINT_WEIGHTS.tail_variances))
 
 
 def weight(squared: Array) -> Array:
-    """The weight of such distances in least squares that are iterated until they have the same minimum, 0 to 1."""
+    """Return the weights, 0 to 1, of squared distances in iteratively reweighted least squares."""
     return np.asarray(1 / (1 + squared / KEYPOINT_WEIGHTS.tail_variances))
 
 
@@ -52,11 +52,11 @@ class Observed:
     xy: Array
     """(N, 33, 2) x / z and y / z in the camera frame."""
     variance: Array
-    """(N, 33) pixels squared, of an image without distortion."""
+    """(N, 33) variances, pixels squared, in an image without distortion."""
     counted: Mask
-    """(N, 33) which keypoints count."""
+    """(N, 33) whether a keypoint counts."""
     probability: Array
-    """(N, 33) probability that the keypoint is right, 0 to 1."""
+    """(N, 33) probability that the keypoint is correct, 0 to 1."""
     focal: Array
     """(2,) fx, fy, pixels."""
     T_camera_world: Array
@@ -64,22 +64,22 @@ class Observed:
 
     @property
     def count(self) -> NDArray[np.intp]:
-        """(N,) how many keypoints count."""
+        """(N,) number of counted keypoints."""
         return np.asarray(self.counted.sum(axis=1))
 
     def take(self, rows: NDArray[np.intp]) -> Self:
-        """The vehicles `rows`."""
+        """Return the vehicles `rows`."""
         parts = {name: getattr(self, name)[rows] for name in _PER_VEHICLE}
         return replace(self, **parts)
 
     def relabelled(self, order: Sequence[int]) -> Self:
-        """The vehicles with their keypoints renamed: keypoint `i` gets the position of keypoint `order[i]`."""
+        """Return the vehicles with renamed keypoints: keypoint `i` gets the position of keypoint `order[i]`."""
         index = list(order)
         parts = {name: getattr(self, name)[:, index] for name in _PER_VEHICLE}
         return replace(self, **parts)
 
     def with_rows(self, rows: NDArray[np.intp], other: "Observed") -> Self:
-        """A copy in which the vehicles `rows` are those of `other`."""
+        """Return a copy in which the vehicles `rows` are replaced by those of `other`."""
         parts = {}
         for name in _PER_VEHICLE:
             parts[name] = getattr(self, name).copy()
@@ -87,12 +87,12 @@ class Observed:
         return replace(self, **parts)
 
     def subsets(self, size: int, rng: np.random.Generator) -> Mask:
-        """(N, 33) at most `size` random counted keypoints of each vehicle."""
+        """Return (N, 33) at most `size` random counted keypoints of each vehicle."""
         rank = np.argsort(np.argsort(np.where(self.counted, rng.random(self.counted.shape), 2.0), axis=1), axis=1)
         return np.asarray(self.counted & (rank < size))
 
     def on_a_line(self) -> Mask:
-        """(N,) whether the counted keypoints lie on one line, as far as can be told."""
+        """Return (N,) whether the counted keypoints lie on one line, within their errors."""
         weight = self.counted / np.maximum(self.count, 1)[:, None]
         middle = np.einsum("nk,nki->ni", weight, self.xy)
         away = (self.xy - middle[:, None]) * self.focal
@@ -101,11 +101,11 @@ class Observed:
 
 
 def observe(camera: Camera, found: Array, sigma: Array) -> Observed:
-    """Take keypoints to rays and weights; what is not finite, or beyond what the lens model can undo, does not count.
+    """Convert keypoints to rays and weights. Values that are not finite, or beyond the lens model, do not count.
 
     Args:
-        camera: The camera that took the image.
-        found: (N, 33, 3) x, y in pixels, and the probability that the point is right.
+        camera: The camera of the image.
+        found: (N, 33, 3) x, y in pixels, and the probability that the point is correct.
         sigma: (N,) standard deviation of a keypoint of probability 1, pixels.
     """
     probability = np.where(np.isfinite(found).all(axis=-1), found[..., 2], 0.0)
@@ -116,7 +116,7 @@ def observe(camera: Camera, found: Array, sigma: Array) -> Observed:
     xy = np.where(counted[..., None], rays[..., :2], 0.0)
     stretch = np.ones(found.shape[:2])
     if camera.distortion.model != "none":
-        # How much longer a pixel is without distortion: the root of how much larger its area is.
+        # Length of a pixel without distortion relative to its length with it: the root of the ratio of areas.
         right, up = (camera.rays(pixels + step)[0][..., :2] * focal for step in ([0.5, 0.0], [0.0, 0.5]))
         left, down = (camera.rays(pixels - step)[0][..., :2] * focal for step in ([0.5, 0.0], [0.0, 0.5]))
         a, b = right - left, up - down

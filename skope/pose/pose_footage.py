@@ -1,4 +1,4 @@
-"""`skope eval pose`: the pose of every vehicle in every image, written image by image so that a stopped run resumes.
+"""`skope eval pose`: estimate and write the poses of all vehicles image by image, so that an interrupted run resumes.
 
 On generated data it also measures errors against the truth: position, heading, dimensions and overlap, by distance and
 occlusion.
@@ -29,7 +29,7 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class PoseErrorBands:
-    """Bands by which errors of poses are reported."""
+    """Bands for reporting errors of poses."""
 
     distances_m: tuple[tuple[float, float], ...] = (
         (0.0, 10.0),
@@ -41,7 +41,7 @@ class PoseErrorBands:
     )
     """Bands of the distance from the camera, metres."""
     occlusions: tuple[tuple[float, float], ...] = ((0.0, 0.1), (0.1, 0.4), (0.4, 1.01))
-    """Bands of the hidden share."""
+    """Bands of the hidden share of a vehicle."""
     bends_deg: tuple[tuple[float, float], ...] = ((0.0, 5.0), (5.0, 20.0), (20.0, math.inf))
     """Bands of the angle between an articulated vehicle and its trailer, degrees."""
     percentiles: tuple[int, int, int] = (50, 90, 99)
@@ -53,43 +53,43 @@ ERROR_BANDS: Final = PoseErrorBands()
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors:
-    """Errors of the poses of N vehicles whose true box is known, (N,) each; NaN for vehicles without a pose."""
+    """Errors of the poses of N vehicles with a known true box, (N,) each; NaN for vehicles without a pose."""
 
     position: Array
-    """Metres on the ground, between the middles of the boxes."""
+    """Distance on the ground between the middles of the boxes, metres."""
     heading: Array
-    """Degrees, mod 360."""
+    """Error of the heading, degrees, mod 360."""
     axis: Array
-    """Degrees, mod 180: front and rear may be exchanged."""
+    """Error of the heading, degrees, mod 180: front and rear may be exchanged."""
     size: Array
-    """Metres: the largest error among length, width and height."""
+    """Largest error among length, width and height, metres."""
     iou: Array
     """Intersection over union of the 3D boxes, 0 to 1."""
     distance: Array
     """Distance of the true box from the camera, metres."""
     occlusion: Array
-    """Share of the vehicle's silhouette that something else hides, 0 to 1."""
+    """Share of the vehicle's silhouette that other objects hide, 0 to 1."""
     bend: Array
-    """Angle between an articulated vehicle and its trailer, whichever way, degrees; NaN for vehicles without one."""
+    """Absolute angle between an articulated vehicle and its trailer, degrees; NaN for others."""
 
     def where(self, mask: NDArray[np.bool_]) -> "PoseErrors":
-        """Errors of the vehicles that `mask` (N,) selects."""
+        """Return the errors of the vehicles that `mask` (N,) selects."""
         return PoseErrors(*(getattr(self, f.name)[mask] for f in fields(self)))
 
 
 def measure_poses(
     scene: Scene, *, noise: float = 0.0, score: float = KEPT_SCORE, sigma_px: float | None = None
 ) -> PoseErrors:
-    """Measure the poses of a scene that has ground truth.
+    """Measure the poses of a scene with ground truth.
 
-    Measured are its predictions, as far as they match a ground-truth vehicle with an IoU of 0.6, or, where it has none,
-    the labelled keypoints themselves.
+    The poses are those of the scene's predictions that match a ground-truth vehicle with an IoU of 0.6. Without
+    predictions, they come from the labelled keypoints.
 
     Args:
         scene: Images with ground truth, and perhaps predictions.
         noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
-        score: Predictions above this are measured.
-        sigma_px: Standard deviation that the pose search reckons with, pixels; None as in `Scene.views`.
+        score: Minimum score of predictions.
+        sigma_px: Standard deviation of a keypoint for the pose search, pixels; None as in `Scene.views`.
     """
     rows: list[tuple[float, ...]] = []
     for view in scene.views(score=score, noise=noise, sigma_px=sigma_px):
@@ -122,7 +122,7 @@ def _row(located: Located, i: int, truth: Annotation) -> tuple[float, ...]:
 
 
 def iou_3d(a: Box3D, b: Box3D) -> float:
-    """Intersection over union of two upright boxes: their outlines from above times what their heights share."""
+    """Return the intersection over union of two upright boxes: area of the common outline times the common height."""
     shared = _outline(a).intersection(_outline(b)).area
     low = max(box.center[2] - box.size_lwh[2] / 2 for box in (a, b))
     high = min(box.center[2] + box.size_lwh[2] / 2 for box in (a, b))
@@ -137,9 +137,9 @@ def _outline(box: Box3D) -> Any:
 
 
 def pose_summary(errors: PoseErrors) -> dict[str, Any]:
-    """Counts and quantiles over all, by distance and by occlusion; null where there is nothing.
+    """Return counts and quantiles over all vehicles, by distance and by occlusion; null if there are none.
 
-    Articulated vehicles, of which the pose is that of the part before the hinge, are listed by how far they bend too.
+    Articulated vehicles are also listed by their bend. Their pose is that of the part in front of the hinge.
     """
     out: dict[str, Any] = {"all": _cell(errors)}
     groups = [
@@ -168,7 +168,7 @@ def _cell(errors: PoseErrors) -> dict[str, Any]:
 
 
 def pose_table(title: str, summary: dict[str, Any]) -> list[str]:
-    """Lines for people: medians, and 90 and 99% in brackets."""
+    """Return lines of a table: medians, and 90th and 99th percentiles in brackets."""
     cells = {"all": summary["all"]}
     cells |= {f"{band} m": cell for band, cell in summary["distance"].items()}
     cells |= {f"hid {band}": cell for band, cell in summary["occlusion"].items()}
@@ -195,25 +195,25 @@ _PROGRESS_FILE: Final = ".vehicles.jsonl"
 
 @dataclass(frozen=True, kw_only=True)
 class PoseJob:
-    """Vehicles whose poses to work out, and where to write them."""
+    """Settings of a pose run and its output folder."""
 
     scene: Scene
     out: Path
     score: float
-    """Detections above this are taken."""
+    """Minimum score of detections."""
     sigma_px: float | None
     """Standard deviation of a keypoint, pixels; None as in `Scene.views`."""
     noise: Sequence[float]
-    """Standard deviations of the noise that is added to labelled keypoints, pixels: poses have the first of them,
-    errors are measured with each."""
+    """Standard deviations of the noise that is added to labelled keypoints, pixels. Poses use the first; errors are
+    measured with each."""
 
 
 def locate_footage(job: PoseJob, console: Console) -> Iterator[str]:
-    """Work out the poses and write them under `job.out`; yields lines that say what was written and found."""
+    """Estimate the poses, write them to `job.out`, and yield lines that report files and results."""
     scene = job.scene
     progress = Progress(job.out / _PROGRESS_FILE, ("rows",))
     if progress.count:
-        console.say(f"{scene.file.name}: going on after the poses of {progress.count} images")
+        console.say(f"{scene.file.name}: resuming after the poses of {progress.count} images")
     with console.bar(total=len(scene.file.images), unit="image", label="poses") as bar:
         bar.update(progress.count)
         views = scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise[0])
@@ -231,7 +231,7 @@ def locate_footage(job: PoseJob, console: Console) -> Iterator[str]:
     between = reasons.pop(INTERPOLATED_REASON, 0)
     found = reasons.total()
     besides = f"; {between} more were followed between key frames and have none" if between else ""
-    yield f"{reasons[None]} poses of {found} vehicles; {found - reasons[None]} refused{besides}"
+    yield f"{reasons[None]} poses of {found} vehicles; {found - reasons[None]} rejected{besides}"
     if scene.has_truth:
         yield from _errors(job)
     progress.end()
@@ -243,7 +243,7 @@ def _with_camera_error(located: Located, scene: Scene) -> Located:
 
 
 def _errors(job: PoseJob) -> Iterator[str]:
-    """Write how far off the poses are where the truth is known."""
+    """Write the errors of the poses if the truth is known."""
     summaries = {}
     for level in job.noise if job.scene.results is None else (0.0,):
         name = f"labels with {level:g} px of noise" if job.scene.results is None else "predictions"

@@ -1,4 +1,4 @@
-"""Vehicles in the world, one record each, and the files that hold them: JSON Lines and CSV."""
+"""Records of vehicles in the world, and the files that hold them: JSON Lines and CSV."""
 
 import itertools
 import json
@@ -21,7 +21,7 @@ from skope.pose.keypoint_views import Scene, View
 from skope.types import Array
 
 INTERPOLATED_REASON: Final = "interpolated"
-"""Reason why a vehicle between key frames has no pose: its keypoints are no new measurement."""
+"""Reason why a vehicle between key frames has no pose: its keypoints are not a new measurement."""
 _BOX_CORNERS: Final = np.array(list(itertools.product((0.5, -0.5), (0.5, -0.5), (0.0, 1.0))))
 """(8, 3) corners of a vehicle's box in its own frame, in lengths, widths and heights: front before rear, left before
 right, low before high."""
@@ -29,7 +29,7 @@ right, low before high."""
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """The vehicles of one image, with their poses."""
+    """Vehicles of one image with their poses."""
 
     view: View
     camera: Camera
@@ -42,8 +42,8 @@ class Located:
 
 
 def locate_view(view: View, scene: Scene) -> Located:
-    """Work out the poses of the vehicles in one image of a scene; those that were followed there have none, nor
-    those that are seen after the camera was moved."""
+    """Estimate the poses of the vehicles in one image of a scene. Interpolated vehicles, and those in images after
+    the camera was moved, have none."""
     image = view.image
     camera, found = scene.camera_in(image), ~view.interpolated
     moved = scene.moved_in(image)
@@ -52,7 +52,7 @@ def locate_view(view: View, scene: Scene) -> Located:
     poses = locate(
         camera, view.found[found], sigma_px=view.sigma_px[found], ground=scene.road_in(view.image), cut=view.cut[found]
     )
-    # From frame to frame another error: unlike the calibration's, it is part of what tells places apart.
+    # Unlike the calibration's error, this one is independent from frame to frame and affects the tracker.
     poses = with_camera_error(poses, scene.sway_in(image), scene.road_in(image))
     return Located(
         view, camera, poses if found.all() else poses.among(found, MOVED_REASON if moved else INTERPOLATED_REASON)
@@ -60,12 +60,12 @@ def locate_view(view: View, scene: Scene) -> Located:
 
 
 def corners_of(T_world_vehicle: Array, size_lwh: Array) -> Array:
-    """(8, 3) corners of a vehicle's box, world: front before rear, left before right, low before high."""
+    """Return (8, 3) corners of a vehicle's box, world: front before rear, left before right, low before high."""
     return np.asarray((_BOX_CORNERS * size_lwh) @ T_world_vehicle[:3, :3].T + T_world_vehicle[:3, 3])
 
 
 def records(located: Located) -> Iterator[dict[str, Any]]:
-    """The row of each vehicle in `poses.jsonl`: metres, degrees (counter-clockwise from world x), pixels."""
+    """Yield the row of each vehicle in `poses.jsonl`: metres, degrees (counter-clockwise from world x), pixels."""
     view, poses = located.view, located.poses
     T_camera_world = located.camera.T_camera_world
     for i, reason in enumerate(poses.refusal):
@@ -113,9 +113,9 @@ _CSV_COLUMNS: Final = (
 
 
 def write_poses(folder: Path, rows: Callable[[], Iterable[dict[str, Any]]]) -> list[Path]:
-    """Write `poses.jsonl` and `poses.csv` into a folder; returns their paths.
+    """Write `poses.jsonl` and `poses.csv` into a folder; return their paths.
 
-    `rows` gives the rows, once for each file: an hour of footage has more than fit into memory.
+    `rows` yields the rows, and is called once per file: an hour of footage does not fit into memory.
     """
     paths = [folder / "poses.jsonl", folder / "poses.csv"]
     with replacing(paths[0]) as temporary, temporary.open("w", encoding="utf-8") as file:

@@ -1,7 +1,7 @@
-"""Search on for the poses of vehicles whose keypoints contradict each other.
+"""Continue the search for poses of vehicles with contradictory keypoints.
 
-Tried are random subsets of the keypoints, the keypoints without those that the vehicle's own body hides, and keypoints
-with sides or ends of the vehicle exchanged.
+The search tries random subsets of the keypoints, the keypoints without those that the vehicle's own body hides, and
+keypoints with exchanged sides or ends of the vehicle.
 """
 
 from dataclasses import dataclass, replace
@@ -22,25 +22,25 @@ from skope.types import Array, Mask
 RowNumbers = NDArray[np.intp]
 
 EXCHANGE_FLAGS: Final = ("sides_exchanged", "ends_exchanged", "turned_around")
-"""Flags of keypoints that fit only with left and right exchanged, front and rear, or both."""
+"""Flags of keypoints that fit only with left and right, front and rear, or both exchanged."""
 RANDOM_STARTS: Final = {True: 24, False: 4}
 """Number of random starts, with and without a known ground."""
 
 
 @dataclass(frozen=True)
 class PoseSearch:
-    """Starts of the search for a pose, and costs by which labels count as exchanged."""
+    """Starts of the search for a pose, and costs at which labels count as exchanged."""
 
     start_keypoints: int = 6
     """Number of keypoints of a random start."""
     exchange_gap: float = 12.0
-    """Labels count as exchanged if the cost (twice the negative log likelihood) falls by this much."""
+    """Decrease of the cost (twice the negative log likelihood) at which labels count as exchanged."""
     hidden_cost: float = 9.0
-    """Cost of a keypoint unrelated to the pose, uniform over the box: about the box's area over that of the
-    keypoint's own uncertainty, as a log likelihood."""
+    """Cost of a keypoint unrelated to the pose, uniform over the box: the log ratio of the box's area to that of the
+    keypoint's own uncertainty."""
     rival_gap: float = 30.0
-    """Difference of cost within which the opposite heading leaves doubt: 2% of the right headings, half of the
-    wrong ones."""
+    """Difference of cost within which the opposite heading remains possible: this flags 2% of the correct headings and
+    half of the wrong ones."""
     hidden_rounds: int = 2
     """Number of times that the hidden keypoints are determined from a pose and the pose is fitted without them."""
 
@@ -54,15 +54,15 @@ EXCHANGED_ORDERS: Final = (list(FLIP), list(OTHER_END), [FLIP[i] for i in OTHER_
 def retry_from_subsets(
     seen: Observed, fits: Fits, poor: RowNumbers, shapes: Shapes, ground: Ground | None, rng: np.random.Generator
 ) -> None:
-    """Fit vehicles from starts by random few keypoints; `fits` takes what fits all keypoints better.
+    """Fit vehicles from random small subsets of keypoints; `fits` is updated with better fits to all keypoints.
 
     Args:
         seen: Keypoints of N vehicles.
         fits: The fits so far, changed in place.
-        poor: Rows of the vehicles that are tried again.
+        poor: Rows of the vehicles to retry.
         shapes: The body types.
         ground: The road; None: unknown.
-        rng: Draws the keypoints.
+        rng: Random generator for the subsets.
     """
     times = RANDOM_STARTS[ground is not None]
     some, again = seen.take(poor), seen.take(np.tile(poor, times))
@@ -74,27 +74,27 @@ def retry_from_subsets(
 def without_hidden(
     camera: Camera, seen: Observed, fits: Fits, poor: RowNumbers, cut: Mask, shapes: Shapes, ground: Ground | None
 ) -> tuple[Observed, Array]:
-    """Fit the vehicles `poor` without the keypoints that their own bodies hide, as they stand and turned around.
+    """Fit the vehicles `poor` without the keypoints that their own bodies hide, in both orientations.
 
-    Detectors give hidden keypoints high scores too. One that is left out may lie anywhere, at the cost
+    Detectors also give hidden keypoints high scores. A keypoint that is left out may be anywhere, at the cost
     `POSE_SEARCH.hidden_cost`.
 
     Args:
         camera: The camera.
         seen: Keypoints of all vehicles.
-        fits: Their fits so far; those of `poor` are replaced where another explains more.
-        poor: Which vehicles to fit.
-        cut: (len(poor),) whether the image's edge may cut the vehicle: its keypoints beyond the edge are left out too.
+        fits: Their fits so far; those of `poor` are replaced by better ones.
+        poor: Rows of the vehicles to fit.
+        cut: (len(poor),) whether the image's edge may cut the vehicle. Keypoints beyond the edge are then left out.
         shapes: The body types.
-        ground: Where the road is; None: unknown.
+        ground: The road; None: unknown.
 
     Returns:
-        `seen` without the keypoints that were left out of the fits, and (len(poor),) by how much the opposite heading
-        costs more.
+        `seen` without the keypoints that were left out of the fits, and (len(poor),) the additional cost of the
+        opposite heading.
     """
     some, every = seen.take(poor), np.arange(len(poor))
     best, cost = fits.take(poor), fits.cost[poor, 0].copy()
-    rival = np.full(len(poor), np.inf)  # the least cost of heading the other way
+    rival = np.full(len(poor), np.inf)  # lowest cost of the opposite heading
     for turned in (False, True):
         guess, reached = best.take(every), np.full(len(poor), np.inf)
         for attempt in range(POSE_SEARCH.hidden_rounds):
@@ -116,12 +116,12 @@ def without_hidden(
 
 
 def _opposite(one: Fits, other: Fits) -> Mask:
-    """(N,) whether the best fits head opposite ways."""
+    """Return (N,) whether the best fits have opposite headings."""
     return np.asarray(np.einsum("ni,ni->n", one.R[:, 0, :, 0], other.R[:, 0, :, 0]) < 0)
 
 
 def _shown(camera: Camera, fits: Fits, shapes: Shapes, ground: Ground | None, *, turned: bool) -> Mask:
-    """(N, 33) the keypoints that the best fit's body does not hide; with `turned`, as if it headed the other way."""
+    """Return (N, 33) whether the best fit's body leaves a keypoint visible; with `turned`, for the opposite heading."""
     R, p, kind = fits.R[:, 0], fits.p[:, 0], fits.kind[:, 0]
     if turned:
         R = R * np.array([-1.0, -1.0, 1.0])
@@ -130,7 +130,7 @@ def _shown(camera: Camera, fits: Fits, shapes: Shapes, ground: Ground | None, *,
 
 
 def _inside(camera: Camera, fits: Fits, shapes: Shapes, ground: Ground | None) -> Mask:
-    """(N, 33) the keypoints that the best fit puts inside the image."""
+    """Return (N, 33) whether the best fit puts a keypoint inside the image."""
     points = np.einsum("nij,nkj->nki", fits.R[:, 0], shapes.mean[fits.kind[:, 0], :-1]) + fits.p[:, 0, None]
     from_here = camera if ground is not None else replace(camera, T_camera_world=np.eye(4))
     pixels, _, valid = from_here.project(points.reshape(-1, 3))
@@ -146,16 +146,16 @@ def retry_exchanged(
     ground: Ground | None,
     exchanged: dict[int, str],
 ) -> Observed:
-    """Fit the vehicles `poor` with keypoints of left and right, or front and rear, or both exchanged.
+    """Fit the vehicles `poor` with exchanged keypoints of left and right, front and rear, or both.
 
     Args:
         seen: Keypoints of all vehicles, without those that `without_hidden` left out.
         whole: Keypoints of the vehicles `poor`, with those that `without_hidden` left out.
-        fits: Fits of all vehicles; those of `poor` are replaced where another fits clearly better.
-        poor: Which vehicles to fit.
+        fits: Fits of all vehicles; those of `poor` are replaced by clearly better ones.
+        poor: Rows of the vehicles to fit.
         shapes: The body types.
-        ground: Where the road is; None: unknown.
-        exchanged: Vehicle -> which of `EXCHANGE_FLAGS` its fit has; is added to.
+        ground: The road; None: unknown.
+        exchanged: Flag from `EXCHANGE_FLAGS` by vehicle; updated in place.
 
     Returns:
         `seen` with the labels that fit clearly better.

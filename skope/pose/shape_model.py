@@ -1,13 +1,13 @@
-"""The shape space of vehicles, and which keypoints a vehicle's own body hides from a camera.
+"""The shape space of vehicles, and the keypoints that a vehicle's own body hides from a camera.
 
 `vehicle_shapes.json` is computed from the fleet by `scripts/vehicle_shapes.py`: the mean and principal directions of
 each body type's keypoints and dimensions. Coordinates are the vehicle frame's (x forward, y left, z up, origin on the
 ground under the middle of the box), metres. A shape is `mean + a @ directions`, where the numbers `a` are independent
 and of unit variance among vehicles of the type.
 
-`keypoint_visibility.json` is computed from the fleet by `scripts/vehicle_shapes.py`: for each body type and keypoint
-the logistic regression of "visible" on the direction from the keypoint to the eye, right for 97 to 99% of them.
-Detectors place hidden keypoints anywhere, with high scores.
+`keypoint_visibility.json` is computed from the fleet by `scripts/vehicle_shapes.py`. It holds, per body type and
+keypoint, a logistic regression of "visible" on the direction from the keypoint to the camera, correct for 97 to 99% of
+them. Detectors place hidden keypoints anywhere, with high scores.
 """
 
 from dataclasses import dataclass
@@ -25,52 +25,52 @@ from skope.files.json_files import read_json
 from skope.types import Array
 
 SHAPE_ROWS: Final = keypoints.K + 1
-"""Rows of a shape: the keypoints and, last, length, width and height."""
+"""Number of rows of a shape: the keypoints and, last, length, width and height."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """Shapes that vehicles can have: T body types with M directions each."""
+    """Possible shapes of vehicles: T body types with M directions each."""
 
     types: tuple[str, ...]
     share: Array
-    """(T,) how often each is seen, sum 1."""
+    """(T,) relative frequency of each type, with sum 1."""
     mean: Array
     """(T, 34, 3) mean keypoints and, last, mean dimensions, metres."""
     directions: Array
-    """(T, M, 34, 3) metres for one standard deviation."""
+    """(T, M, 34, 3) principal directions, metres per standard deviation."""
     rest: Array
-    """(T, 33) standard deviation of a keypoint beyond the directions, metres an axis."""
+    """(T, 33) standard deviation of a keypoint beyond the directions, metres per axis."""
 
     @classmethod
     def known(cls, points: ArrayLike, size_lwh: ArrayLike, *, name: str = "known") -> Self:
-        """Make the shape of a vehicle that is known.
+        """Make the shape of a known vehicle.
 
         Args:
             points: (33, 3) keypoints in the vehicle frame, metres.
             size_lwh: (3,) length, width and height, metres.
-            name: What the body type is called.
+            name: Name of the body type.
 
         Returns:
-            One body type without directions: nothing of its shape is free.
+            One body type without directions: its shape is fixed.
         """
         row = np.concatenate([np.asarray(points, dtype=np.float64), [np.asarray(size_lwh, dtype=np.float64)]])
         return cls((name,), np.ones(1), row[None], np.zeros((1, 0, SHAPE_ROWS, 3)), np.zeros((1, keypoints.K)))
 
     def mean_vehicle(self) -> Array:
-        """(34, 3) keypoints and dimensions of the average vehicle on the road."""
+        """Return (34, 3) keypoints and dimensions of the average vehicle on the road."""
         return np.asarray(np.einsum("t,tki->ki", self.share, self.mean))
 
 
 @cache
 def fleet_shapes() -> Shapes:
-    """The shape space that skope ships."""
+    """Return the shape space that comes with skope."""
     with resources.as_file(resources.files("skope.pose").joinpath("vehicle_shapes.json")) as path:
         return read_shapes(path)
 
 
 def read_shapes(path: Path) -> Shapes:
-    """Read a file of `scripts/vehicle_shapes.py`. Raises UserError, naming file and type, where it is malformed."""
+    """Read a file of `scripts/vehicle_shapes.py`. Raise UserError, naming file and type, if it is malformed."""
     document = read_json(path)
     if not isinstance(document, dict) or document.get("scheme") != keypoints.SCHEME:
         raise UserError(f"{path}: scheme: expected shapes of keypoint scheme {keypoints.SCHEME!r}")
@@ -92,7 +92,7 @@ _FIELD_COUNT: Final = 4
 
 @cache
 def _fleet_sight() -> dict[str, Array]:
-    """Body type -> (33, 4) weights of a logistic regression: of the direction's x, y, z in the vehicle frame, and 1."""
+    """Return (33, 4) weights of a logistic regression by body type: for x, y, z of the direction, and a constant."""
     with resources.as_file(resources.files("skope.pose").joinpath("keypoint_visibility.json")) as path:
         document = read_json(path)
     if not isinstance(document, dict) or document.get("scheme") != keypoints.SCHEME:
@@ -101,16 +101,16 @@ def _fleet_sight() -> dict[str, Array]:
 
 
 def facing(shapes: Shapes, kind: NDArray[np.intp], points: Array, eye: Array) -> NDArray[np.bool_]:
-    """Find the keypoints that a camera sees past the vehicle's own body.
+    """Find the keypoints that are not hidden by the vehicle's own body.
 
     Args:
         shapes: The body types.
-        kind: (N,) index of each vehicle's body type in `shapes`. Of a type that the fleet has not, all are seen.
+        kind: (N,) index of each vehicle's body type in `shapes`. For a type outside the fleet, all are visible.
         points: (N, 33, 3) keypoints in the vehicle frame, metres.
         eye: (N, 3) the camera's position in the vehicle frame, metres.
 
     Returns:
-        (N, 33) whether each keypoint is seen.
+        (N, 33) whether each keypoint is visible.
     """
     always = np.tile([0.0, 0.0, 0.0, 1.0], (keypoints.K, 1))
     weights = np.stack([_fleet_sight().get(name, always) for name in shapes.types])[kind]

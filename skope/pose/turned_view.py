@@ -1,7 +1,7 @@
-"""Camera of a view that a calibrated camera was turned or zoomed to, from the homography between both views.
+"""Find the camera of a view to which a calibrated camera was turned or zoomed, from the homography between both views.
 
-A camera that only turns and zooms moves its image by K2 R inverse(K), whatever it shows. A camera that was also moved
-to another position moves near and far things differently, which no turn explains: such a view is rejected.
+A camera that only turns and zooms moves its image by K2 R inverse(K), independent of the scene. A camera that was also
+moved shifts near and far objects differently, which no turn explains: this view is rejected.
 """
 
 import math
@@ -20,17 +20,17 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class TurnLimits:
-    """Limits within which a homography is a turn of the camera."""
+    """Limits for accepting a homography as a turn of the camera."""
 
     residual_px: float = 0.5
-    """Largest root mean square distance of pixels from where a turn puts them, per axis, in images `image_width_px`
-    wide."""
+    """Maximum root mean square distance of pixels from their position after a turn, per axis, in images
+    `image_width_px` wide."""
     image_width_px: int = 1280
     """Image width to which `residual_px` refers, pixels."""
     near_m: float = 60.0
-    """The road within this distance distinguishes a turn from a move, metres."""
+    """Distance within which the road distinguishes a turn from a move, metres."""
     fewest_near: int = 8
-    """Smallest number of grid points on that road."""
+    """Minimum number of grid points on that road."""
     grid: tuple[int, int] = (24, 16)
     """Columns and rows of grid points at which the homography is compared with a turn."""
 
@@ -40,13 +40,13 @@ TURN_LIMITS: Final = TurnLimits()
 
 @dataclass(frozen=True, eq=False)
 class TurnedView:
-    """A camera that was turned or zoomed, and the uncertainty that finding the turn adds."""
+    """Camera that was turned or zoomed, and the additional uncertainty of the turn."""
 
     camera: Camera
     zoom: float
-    """Focal length, as a share of that before."""
+    """Ratio of the focal length after to that before."""
     off_px: float
-    """Distance of pixels from where the turn and zoom put them, root mean square per axis."""
+    """Distance of pixels from their position after turn and zoom, root mean square per axis."""
     added: dict[tuple[str, ...], Array]
     """Covariances that the turn adds, by the names of the camera's parameters."""
 
@@ -55,12 +55,12 @@ def turned_view(camera: Camera, homography: ViewHomography) -> TurnedView | None
     """Find the camera after a turn or zoom.
 
     Args:
-        camera: The camera before, at the size of the images.
-        homography: Where pixels of the view before lie in the view after.
+        camera: The camera before the turn, at the size of the images.
+        homography: Homography from the view before to the view after.
 
     Returns:
-        The camera; None where a turn and zoom do not explain the homography, or too little of the road is in view to
-        tell a turn from a move.
+        The camera; None if a turn and zoom do not explain the homography, or too little road is visible to distinguish
+        a turn from a move.
     """
     size = (camera.width, camera.height)
     u, v = ((np.arange(count) + 0.5) / count * side for count, side in zip(TURN_LIMITS.grid, size, strict=True))
@@ -85,7 +85,7 @@ def turned_view(camera: Camera, homography: ViewHomography) -> TurnedView | None
 
 
 def _turn(camera: Camera, away: Array, after: Array, matrix: Array, *, zooms: bool) -> tuple[Camera, float, float]:
-    """The camera turned, and perhaps zoomed, so that it sees points `away` (N, 3) best at pixels `after` (N, 2).
+    """Return the camera turned, and optionally zoomed, to map points `away` (N, 3) best to pixels `after` (N, 2).
 
     Returns the camera, its zoom, and the root mean square distance per axis, pixels.
     """
@@ -111,13 +111,13 @@ def _turn(camera: Camera, away: Array, after: Array, matrix: Array, *, zooms: bo
 
 
 def _added(turned: Camera, off_px: float, homography: ViewHomography, near_m: float) -> dict[tuple[str, ...], Array]:
-    """Covariances of a turned camera's parameters that follow from the error of its turn, in pixels.
+    """Return the covariances of a turned camera's parameters from the pixel error of its turn.
 
     Args:
         turned: The turned camera.
-        off_px: Distance of pixels from where the turn puts them.
-        homography: What the turn was found from.
-        near_m: Distance of the road by which a turn is told from a move, metres.
+        off_px: Distance of pixels from their position after the turn.
+        homography: Homography from which the turn was computed.
+        near_m: Distance of the road that distinguishes a turn from a move, metres.
     """
     error_px = math.hypot(off_px, homography.corner_error_px)
     error_turn = error_px / (turned.width / 2)

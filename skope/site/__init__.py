@@ -1,4 +1,4 @@
-"""A site file: the camera, what it was calibrated by, lanes, gates, zones; read and saved.
+"""Read and write a site file: camera, calibration marks, lanes, gates and zones.
 
-Generating and evaluating share it: see docs/own-road.md for the keys.
+Generation and evaluation share it: see docs/own-road.md for the keys.
 """

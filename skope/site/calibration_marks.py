@@ -17,12 +17,12 @@ _LARGEST_PX: Final = 8192
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CalibrationMarks:
-    """Marks and prior knowledge that tell a camera, in pixels of the footage."""
+    """Marks and prior knowledge for calibrating a camera, in pixels of the footage."""
 
     size: tuple[int, int] | None
-    """Width and height of the images that were marked, pixels; None: the file does not say it."""
+    """Width and height of the marked images, pixels; None: not in the file."""
     when: datetime | None
-    """Time at which they were marked."""
+    """Time of the marking; None: not in the file."""
     points: tuple[MarkedPoint, ...] = ()
     lengths: tuple[MarkedLength, ...] = ()
     parallels: tuple[ParallelLines, ...] = ()
@@ -30,20 +30,20 @@ class CalibrationMarks:
     fov_deg: tuple[float, float] | None = None
     """Horizontal field of view and its standard deviation, degrees."""
     lens: Mapping[str, tuple[float, float]] | None = None
-    """Calibration of the lens: `focal_px`, and `k1` where it is known, each with its standard deviation."""
+    """Calibration of the lens: `focal_px`, and `k1` if known, each with its standard deviation."""
     height_m: tuple[float, float] | None = None
     """The camera's height over the road and its standard deviation, metres."""
     vehicles: CameraPrior | None = None
-    """Evidence of its vehicles on the camera."""
+    """Prior of the camera from its vehicles."""
 
     def evidence(self, size: tuple[int, int] | None = None) -> Evidence:
-        """Evidence for the solver, for images of `size`; None: of the file's own.
+        """Return the evidence for images of `size`; None: of the file's own size.
 
-        Raises UserError where neither says a size, or they contradict each other.
+        Raises UserError if neither gives a size, or they contradict each other.
         """
         if size and self.size and size != self.size:
             raise UserError(
-                f"calibration.size: {self.size[0]}x{self.size[1]} was marked, but the images are {size[0]}x{size[1]}"
+                f"calibration.size: marks are in {self.size[0]}x{self.size[1]}, but the images are {size[0]}x{size[1]}"
             )
         whole = size or self.size
         if whole is None:
@@ -60,12 +60,12 @@ def beliefs_of(
     lens: Mapping[str, tuple[float, float]] | None = None,
     height_m: tuple[float, float] | None = None,
 ) -> tuple[CameraPrior, ...]:
-    """Prior knowledge of a camera as evidence for its calibration.
+    """Return prior knowledge of a camera as evidence for its calibration.
 
     Args:
         width: Width of the images, pixels.
         fov_deg: Horizontal field of view and its standard deviation, degrees; None: not known.
-        lens: `focal_px` and, where it is known, `k1`, each with its standard deviation; None: not known.
+        lens: `focal_px` and, if known, `k1`, each with its standard deviation; None: not known.
         height_m: Height over the road and its standard deviation, metres; None: not known.
     """
     out = []
@@ -79,10 +79,10 @@ def beliefs_of(
 
 
 def read_marks(table: TomlTable, unknown: list[str]) -> CalibrationMarks:
-    """The marks of a [calibration] table; keys that mean nothing here are added to `unknown`.
+    """Read the marks of a [calibration] table; unknown keys are added to `unknown`.
 
     Raises:
-        UserError: Something is missing or wrong; the message names file and key.
+        UserError: A key is missing or invalid; the message names file and key.
     """
     made = CalibrationMarks(
         size=_size(table),
@@ -108,7 +108,7 @@ def _rows(table: TomlTable, kind: str, unknown: list[str]) -> tuple[Any, ...]:
             raise row.wrong("name", f"{name!r} is the name of two {kind}")
         names.add(name)
         for key, value in row.values.items():
-            if value == "":  # on the page, an empty field stands for its default
+            if value == "":  # an empty field on the page means its default
                 raise row.wrong(key, "expected a value, got an empty text")
         mark, problems = read_mark(kind, index, name, row.value)
         for problem in problems:
@@ -122,7 +122,7 @@ def _rows(table: TomlTable, kind: str, unknown: list[str]) -> tuple[Any, ...]:
 
 
 def _measured(table: TomlTable, key: str, limits: tuple[float, float]) -> tuple[float, float] | None:
-    """A value with its standard deviation, [value, sigma]."""
+    """Return a value with its standard deviation, [value, sigma]; None if the key is missing."""
     if key not in table:
         return None
     found = known_value(table.value(key), limits)
@@ -132,7 +132,7 @@ def _measured(table: TomlTable, key: str, limits: tuple[float, float]) -> tuple[
 
 
 def _lens(table: TomlTable, unknown: list[str]) -> Mapping[str, tuple[float, float]]:
-    """Raises UserError where it does not say a focal length."""
+    """Return the lens. Raise UserError if it has no focal length."""
     focal = _measured(table, "focal_px", LENS_RANGES["focal_px"])
     if focal is None:
         raise table.wrong("focal_px", "missing: expected [value, standard deviation] in pixels")
@@ -158,7 +158,7 @@ def _time(table: TomlTable, key: str) -> datetime | None:
 
 
 def _vehicles(table: TomlTable) -> CameraPrior | None:
-    """The camera that `skope eval camera` has found from vehicles, which says nothing of place and direction."""
+    """Return the prior from the vehicles' camera file of `skope eval camera`, without position and direction."""
     path = table.file("vehicles")
     if path is None:
         return None

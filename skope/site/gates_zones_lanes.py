@@ -1,4 +1,4 @@
-"""Drawings of a user on a road, as a site file has them: gates, zones, lanes, occluders."""
+"""Drawings of a user on a road in a site file: gates, zones, lanes, occluders."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -21,25 +21,25 @@ DEFAULT_LANE_M: Final = 3.5
 
 @dataclass(frozen=True, kw_only=True)
 class Gate:
-    """A line across the road at which traffic is counted: drawn in the image, surveyed on the road, or both."""
+    """Line across the road at which traffic is counted: drawn in the image, surveyed on the road, or both."""
 
     name: str
     line: Outline = ()
-    """Its two ends on the road, world x and y, metres; empty for a gate that is drawn in the image alone."""
+    """Both ends on the road, world x and y, metres; empty for a gate that is drawn in the image only."""
     pixels: Outline = ()
-    """Its two ends in the image, column and row; empty for a gate that comes from a map or a survey."""
+    """Both ends in the image, column and row; empty for a gate from a map or a survey."""
     size: tuple[int, int] | None = None
     """Width and height of the image in which `pixels` were drawn; None: not recorded."""
     directions: tuple[str, str] | None = None
     """Names of crossings from left to right, and from right to left, of the line as drawn; None: not named."""
     edges: tuple[str, str] | None = None
-    """The edges of a SUMO network on which it is crossed from left to right and back, "" where there is none; None: not
-    said."""
+    """Edges of a SUMO network on which the gate is crossed from left to right and back, "" for none; None: not
+    given."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Zone:
-    """A part of the road."""
+    """Area of the road."""
 
     name: str
     polygon: Outline
@@ -48,36 +48,36 @@ class Zone:
 
 @dataclass(frozen=True, kw_only=True)
 class Lane:
-    """A lane's middle line, along the way that is driven."""
+    """Middle line of a lane, in its driving direction."""
 
     name: str
     line: Outline
-    """World x and y, metres."""
+    """Points of the line, world x and y, metres."""
     width: float | None = None
-    """Metres; None: not known."""
+    """Width, metres; None: not known."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class OccluderMark:
-    """Something in the image that stands before the traffic; one of `distance` and `foot` says how far away."""
+    """Object in the image that hides traffic; either `distance` or `foot` gives its distance."""
 
     polygon: Outline
-    """Pixels."""
+    """Corners, pixels."""
     distance: float | None = None
     """Planar depth, metres."""
     foot: tuple[float, float] | None = None
-    """The pixel where it stands on the ground."""
+    """Pixel at which it stands on the ground."""
 
 
 def gate_at_size(gate: Gate, size: tuple[int, int]) -> Gate:
-    """The gate with its pixels in an image of another size.
+    """Return the gate with its pixels in an image of another size.
 
     Args:
-        gate: The gate; without `pixels` it is returned unchanged, without `size` its pixels are taken to be of `size`.
+        gate: The gate. Without `pixels` it is returned unchanged; without `size` its pixels are assumed to fit `size`.
         size: Width and height of the image, pixels.
 
     Raises:
-        UserError: The two images differ in aspect ratio by more than 1%.
+        UserError: The aspect ratios of the two images differ by more than 1%.
     """
     if not gate.pixels:
         return gate
@@ -92,7 +92,7 @@ def gate_at_size(gate: Gate, size: tuple[int, int]) -> Gate:
 
 
 def line_on_road(camera: Camera, pixels: Array, ground: Ground | None = None) -> Outline:
-    """Ends on the road of a gate that is drawn in the image.
+    """Return the ends on the road of a gate that is drawn in the image.
 
     Args:
         camera: The camera.
@@ -100,7 +100,7 @@ def line_on_road(camera: Camera, pixels: Array, ground: Ground | None = None) ->
         ground: The road; None: z = 0.
 
     Returns:
-        World x and y of both ends, metres, to a millimetre; empty if one lies on or above the horizon.
+        World x and y of both ends, metres, rounded to a millimetre; empty if one lies on or above the horizon.
     """
     road = ground or Ground()
     ends = np.round(intersect_ground(camera, pixels, road.height, slope=road.slope, about=road.about)[:, :2], 3)
@@ -110,9 +110,9 @@ def line_on_road(camera: Camera, pixels: Array, ground: Ground | None = None) ->
 
 
 def gate_on_road(gate: Gate, camera: Camera) -> Gate:
-    """The gate with a line on the road: where it has only `pixels`, their line as the camera sees it.
+    """Return the gate with a line on the road: if it has only `pixels`, their projection onto the road.
 
-    Unchanged where its pixels are of an image of another aspect ratio, or one lies on or above the horizon.
+    The gate is unchanged if its image has another aspect ratio, or one of its ends lies on or above the horizon.
     """
     size = (camera.width, camera.height)
     if gate.line or not gate.pixels or not same_aspect(gate.size or size, size):
@@ -121,7 +121,7 @@ def gate_on_road(gate: Gate, camera: Camera) -> Gate:
 
 
 def read_gate(row: TomlTable) -> Gate:
-    """Raises UserError naming file and key, as all readers here do."""
+    """Read a gate. Raise UserError naming file and key, as all readers here do."""
     if "line" not in row and "pixels" not in row:
         raise row.wrong("line", "missing: draw the gate (`pixels`) or survey it (`line`)")
     return Gate(
@@ -135,7 +135,7 @@ def read_gate(row: TomlTable) -> Gate:
 
 
 def _ends(row: TomlTable, key: str, what: str) -> Outline:
-    """The two ends of a gate."""
+    """Return the two ends of a gate."""
     ends = read_line(row, key)
     if len(ends) != 2:
         raise row.wrong(key, f"expected two ends {what}, got {len(ends)}")
@@ -145,7 +145,7 @@ def _ends(row: TomlTable, key: str, what: str) -> Outline:
 
 
 def _image_size(row: TomlTable) -> tuple[int, int] | None:
-    """Width and height of the image that a gate was drawn in; None if the row does not give it."""
+    """Return the size of the image that a gate was drawn in; None if the row does not give it."""
     if "size" not in row:
         return None
     width, height = row.numbers("size", 2)
@@ -155,7 +155,7 @@ def _image_size(row: TomlTable) -> tuple[int, int] | None:
 
 
 def _directions(row: TomlTable) -> tuple[str, str] | None:
-    """Names of a gate's two directions; None where the row does not say them."""
+    """Return the names of a gate's two directions; None if the row does not give them."""
     if "directions" not in row:
         return None
     names = row.value("directions")
@@ -167,7 +167,7 @@ def _directions(row: TomlTable) -> tuple[str, str] | None:
 
 
 def _edges(row: TomlTable) -> tuple[str, str] | None:
-    """The edges of a SUMO network that a gate lies across, by direction; None where the row does not say it."""
+    """Return the edges of a SUMO network that a gate crosses, by direction; None if the row does not give them."""
     if "edges" not in row:
         return None
     names = row.value("edges")
@@ -202,7 +202,7 @@ def read_occluder(row: TomlTable) -> OccluderMark:
 
 
 def read_outline(row: TomlTable, corner: str = "[column, row]") -> Outline:
-    """Three or more corners of `polygon`, whose sides do not cross each other; `corner` says of what each consists."""
+    """Return at least three corners of `polygon`, without crossing sides; `corner` describes a corner in messages."""
     points = row.value("polygon")
     if not isinstance(points, list) or len(points) < 3:
         raise row.wrong("polygon", f"expected three or more {corner}")
@@ -213,7 +213,7 @@ def read_outline(row: TomlTable, corner: str = "[column, row]") -> Outline:
 
 
 def read_line(row: TomlTable, key: str) -> Outline:
-    """Two or more places [x, y], metres."""
+    """Return at least two positions [x, y], metres."""
     points = row.value(key)
     if not isinstance(points, list) or len(points) < 2:
         raise row.wrong(key, "expected two or more places [x, y]" if key in row else "missing")
@@ -230,18 +230,18 @@ def read_name(row: TomlTable) -> str:
 
 
 def checked_name(row: TomlTable, key: str, name: str) -> str:
-    """Check a name that people give; it may be of any script.
+    """Check a user-defined name, in any script.
 
     Args:
-        row: The table that it stands in, for the message.
-        key: Its key there, likewise.
+        row: The table with the name, for the message.
+        key: Its key there, for the message.
         name: The name.
 
     Returns:
         The name.
 
     Raises:
-        UserError: It is empty, too long, or cannot be printed in one line.
+        UserError: The name is empty, too long, or cannot be printed in one line.
     """
     if not is_name(name):
         raise row.wrong(key, NO_NAME)

@@ -1,4 +1,4 @@
-"""Marks in a camera's image, read from a site file and from the page alike: one parser with one set of limits."""
+"""Parse marks in a camera's image, from a site file or from the page, with one set of limits."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -14,12 +14,12 @@ from skope.records import is_number, shown
 
 @dataclass(frozen=True)
 class MarkLimits:
-    """Limits of numbers in marks, and standard deviations of marks that state none."""
+    """Limits of numbers in marks, and default standard deviations."""
 
     farthest_m: float = 1e8
-    """Largest coordinate of a position, metres."""
+    """Maximum coordinate of a position, metres."""
     widest_px: float = 1e5
-    """Largest column or row of a mark, pixels."""
+    """Maximum column or row of a mark, pixels."""
     length_m: tuple[float, float] = (0.01, 1e4)
     """Range of a marked length, metres."""
     vertical_m: tuple[float, float] = (0.01, 1000.0)
@@ -27,7 +27,7 @@ class MarkLimits:
     sigma: tuple[float, float] = (1e-4, 1e3)
     """Range of standard deviations of marks, metres or pixels."""
     least_known_sigma: float = 1e-4
-    """Least standard deviation of values of `KNOWN_RANGES` and of a lens, in their units. The largest is their
+    """Minimum standard deviation of values of `KNOWN_RANGES` and of a lens, in their units. The maximum is their
     upper limit."""
     name_letters: int = 200
     """Maximum number of letters of a name."""
@@ -40,7 +40,7 @@ class MarkLimits:
     most_rows: int = 500
     """Maximum number of positions of an entry."""
     shortest_px: float = 1.0
-    """Ends of a mark that are closer are one, pixels."""
+    """Minimum distance between the ends of a mark, pixels."""
 
 
 MARK_LIMITS: Final = MarkLimits()
@@ -63,11 +63,11 @@ class Problem:
     field: str
     text: str
     missing: bool = False
-    """Whether the field is only not filled in yet."""
+    """Whether the field is only not filled in yet, and not wrong."""
 
 
 def is_name(value: Any) -> bool:
-    """Whether something is a name of one line, in any script, and not too long to be shown."""
+    """Return whether a value is a name of one line, in any script, and not too long to be shown."""
     return (
         isinstance(value, str)
         and bool(value.strip())
@@ -77,12 +77,12 @@ def is_name(value: Any) -> bool:
 
 
 def number_or_none(value: Any) -> float | None:
-    """A finite number, or None for anything else."""
+    """Return a finite number, or None for anything else."""
     return float(value) if is_number(value) else None
 
 
 def positions(value: Any, width: int) -> list[list[float]] | None:
-    """Rows of `width` numbers each, or None for anything else."""
+    """Return rows of `width` numbers each, or None for anything else."""
     if not isinstance(value, list) or len(value) > MARK_LIMITS.most_rows:
         return None
     if any(not isinstance(row, list) or len(row) != width or not all(map(is_number, row)) for row in value):
@@ -91,12 +91,12 @@ def positions(value: Any, width: int) -> list[list[float]] | None:
 
 
 def known_value(value: Any, limits: tuple[float, float]) -> tuple[float, float] | None:
-    """A value that a camera can have, with its standard deviation; None for anything else.
+    """Return a possible value of a camera with its standard deviation; None for anything else.
 
     Args:
-        value: [value, standard deviation], in the same unit. The standard deviation lies between
+        value: [value, standard deviation], in the same unit. The standard deviation must be between
             `MARK_LIMITS.least_known_sigma` and the upper limit.
-        limits: Least and largest value.
+        limits: Minimum and maximum value.
     """
     rows = positions([value], 2)
     if rows is None:
@@ -111,11 +111,11 @@ def read_mark(kind: str, index: int, name: str, value: Callable[[str], Any]) -> 
     Args:
         kind: One of `MARK_KINDS`.
         index: Index in its list, for the problems.
-        name: Its name.
-        value: Gives the value of a field; None where there is none.
+        name: Name of the mark.
+        value: Function that returns the value of a field; None if there is none.
 
     Returns:
-        The mark, None if there are problems, and these.
+        The mark (None if there are problems) and the problems.
     """
     fields = _Fields(kind, index, value)
     made = None
@@ -128,7 +128,7 @@ def read_mark(kind: str, index: int, name: str, value: Callable[[str], Any]) -> 
 
 
 class _Fields:
-    """The fields of one entry, and what is wrong with them."""
+    """Fields of one entry, and the problems found in them."""
 
     def __init__(self, kind: str, index: int, value: Callable[[str], Any]) -> None:
         self.kind, self.index, self.value = kind, index, value
@@ -138,9 +138,9 @@ class _Fields:
         self.problems.append(Problem(kind=self.kind, index=self.index, field=field, text=text, missing=missing))
 
     def number(self, field: str, low: float, high: float, unit: str, default: float | None = None) -> float:
-        """A number between two limits; NaN, with a problem noted, where there is none such.
+        """Return a number between two limits; NaN, with a problem noted, if it is missing or invalid.
 
-        A field that is empty has the default; where that is None, it is missing.
+        An empty field has the default; if that is None, the field is missing.
         """
         value = self.value(field)
         if value in (None, ""):
@@ -153,11 +153,11 @@ class _Fields:
         return math.nan if found is None else found
 
     def sigma(self, field: str, default: float) -> float:
-        """A standard deviation."""
+        """Return a standard deviation."""
         return self.number(field, *MARK_LIMITS.sigma, "", default)
 
     def ends(self, field: str, same: str) -> Any:
-        """(2, 2) the two ends of a mark, pixels; `same` is said of two that are one."""
+        """Return (2, 2) both ends of a mark, pixels; `same` is the message for equal ends."""
         rows = in_image(self.value(field))
         if rows is None or len(rows) != 2:
             self.wrong(field, "expected column and row in pixels, two numbers, of both ends")
@@ -167,7 +167,7 @@ class _Fields:
 
 
 def in_image(value: Any) -> list[list[float]] | None:
-    """Rows of column and row, no farther off than marks may be, or None for anything else."""
+    """Return rows of column and row within the limits of marks, or None for anything else."""
     rows = positions(value, 2)
     return None if rows is None or any(abs(one) > MARK_LIMITS.widest_px for row in rows for one in row) else rows
 

@@ -3,8 +3,8 @@
 Intrinsics are one of `K`, `fov_deg` and `file`; those of a file are scaled from its image size to the camera's. The
 pose is one of `T_camera_world`, `R` and `t` (x_camera = R x_world + t), `position` with `look_at` or `yaw_deg` and
 `pitch_deg`, `points` (known in image and world), `ground` (the road as a plane in the camera frame, in a file) with
-`position` and `yaw_deg`, and the file's own. `covariance` says how well all this is known, `calibrated` when and by
-what it was found.
+`position` and `yaw_deg`, and the file's own. `covariance` gives the uncertainty of all this, `calibrated` the time and
+source of the calibration.
 """
 
 import math
@@ -36,20 +36,20 @@ ImageSize = tuple[int, int]
 
 DEFAULT_SIZE_PX: Final = (1920, 1080)
 WORST_CONTROL_POINT: Final = 0.05
-"""Largest reprojection error of a control point, as a share of the image's width. A larger one is a mistake."""
+"""Maximum reprojection error of a control point, as a share of the image's width. A larger one is a mistake."""
 
 
 @dataclass(frozen=True, eq=False)
 class OwnCamera:
     camera: Camera
     said: str
-    """A sentence on how well the camera fits its control points; empty without any."""
+    """Sentence on the residuals of the control points; empty without any."""
     known: UncertainCamera | None = None
-    """The camera with its covariance; None: nothing says how well it is known."""
+    """The camera with its covariance; None: the uncertainty is unknown."""
 
 
 def read_site_camera(table: TomlTable, picture: ImageSize | None) -> OwnCamera:
-    """The camera of a table; `picture` is the photograph's size, which is the camera's where nothing else says it."""
+    """Read the camera of a table; `picture` is the photograph's size, the default of the camera's size."""
     try:
         made = _camera(table, picture)
         made = replace(made, known=_known(table, made.camera))
@@ -61,7 +61,7 @@ def read_site_camera(table: TomlTable, picture: ImageSize | None) -> OwnCamera:
 
 
 def _known(table: TomlTable, camera: Camera) -> UncertainCamera | None:
-    """The camera with the covariance of the table, or of the file that all of it comes from; None: neither has one."""
+    """Return the camera with the covariance of the table, or of the file with the whole camera; None without one."""
     if "covariance" in table:
         own = table.table("covariance")
         told = {key: own.value(key) for key in ("of", "matrix")}
@@ -75,7 +75,7 @@ def _known(table: TomlTable, camera: Camera) -> UncertainCamera | None:
 
 
 def _calibrated(table: TomlTable) -> None:
-    """When and by what the camera was calibrated: for people to read."""
+    """Check when and from what the camera was calibrated; this is only information for people."""
     when = table.value("when")
     if when is not None and not isinstance(when, datetime | str):
         raise table.wrong("when", "expected a time")
@@ -103,7 +103,7 @@ def _camera(table: TomlTable, picture: ImageSize | None) -> OwnCamera:
 
 
 def _calibration(path: Path, *, raw: bool) -> CameraCalibration:
-    """A camera file of skope's own, or of another program."""
+    """Read a camera file of skope or of another program."""
     if not is_camera_json(path):
         return read_calibration(path, raw=raw)
     camera = camera_of_json(path, read_json(path))
@@ -133,12 +133,12 @@ def _intrinsics(table: TomlTable, read: CameraCalibration | None, size: ImageSiz
 
 
 def _scaled(table: TomlTable, K: Array, calibrated: ImageSize, size: ImageSize) -> Array:
-    """The intrinsics of a calibration's image size at the camera's. Distortion has no unit and stays."""
+    """Scale intrinsics from a calibration's image size to the camera's. Distortion has no unit and is unchanged."""
     x, y = size[0] / calibrated[0], size[1] / calibrated[1]
     if abs(calibrated[1] * x - size[1]) > 1:
         raise table.wrong(
             "size",
-            f"{size[0]}x{size[1]} has another shape than the {calibrated[0]}x{calibrated[1]} of {table.file('file')}",
+            f"{size[0]}x{size[1]} has another shape than {calibrated[0]}x{calibrated[1]} of {table.file('file')}",
         )
     return np.diag([x, y, 1.0]) @ K
 

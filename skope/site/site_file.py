@@ -1,8 +1,8 @@
-"""Read a site file: camera, what it was calibrated by, gates, zones, lanes, occluders, plan, and the footage's time.
+"""Read a site file: camera, calibration marks, gates, zones, lanes, occluders, plan, and the time of the footage.
 
-`skope gen --site` takes the same file. Unknown keys are reported and kept when the file is saved
-(`skope.site.write_site`). Local times are those of clocks at the road: ambiguous or impossible in the hour in which the
-clocks change.
+`skope gen --site` reads the same file. Unknown keys are reported and kept when the file is saved
+(`skope.site.write_site`). Local times are those of clocks at the road. When the clocks change, a local time can be
+ambiguous or impossible.
 """
 
 import hashlib
@@ -34,11 +34,11 @@ from skope.site.traffic_settings import TrafficSettings, read_traffic
 from skope.site.world import read_world
 
 _FOOTAGE_YEARS: Final = range(1900, 2900)
-"""Years in which footage may begin. Times near year 1 or 9999 have no counterpart in other zones."""
+"""Years in which footage may begin. Times near year 1 or 9999 cannot be converted to other zones."""
 
 
 def year_doubt(time: datetime) -> str:
-    """Message about a year in which no footage was taken; empty for other years."""
+    """Return a message on an implausible year of footage; empty for other years."""
     if time.year in _FOOTAGE_YEARS:
         return ""
     return f"expected a year from {_FOOTAGE_YEARS.start} to {_FOOTAGE_YEARS.stop - 1}, got {time.year}"
@@ -49,10 +49,10 @@ def clock_doubt(time: datetime, zone: ZoneInfo) -> str:
 
     Args:
         time: The time, without an offset.
-        zone: The zone that it belongs to.
+        zone: The zone of the time.
 
     Returns:
-        A message: clocks skip the time, show it twice, or its year is impossible; empty where nothing is wrong.
+        A message if clocks skip the time or show it twice, or its year is impossible; else empty.
     """
     if doubt := year_doubt(time):
         return doubt
@@ -66,27 +66,27 @@ def clock_doubt(time: datetime, zone: ZoneInfo) -> str:
 
 
 _PIXEL_M: Final = (1e-5, 1e4)
-"""Range of the size of a pixel of a picture from above, metres."""
+"""Range of the size of a plan's pixel, metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanPicture:
-    """A picture of the road from above."""
+    """Image of the road from above."""
 
     file: Path
-    """File of the picture, which need not be there."""
+    """File of the image, which may be missing."""
     metres_per_pixel: float
     origin: tuple[float, float]
-    """World x and y of the picture's top-left corner, metres."""
+    """World x and y of the image's top-left corner, metres."""
     rotation_deg: float
-    """By how much the picture's up is turned from the world's y, counter-clockwise."""
+    """Angle of the image's up direction from the world's y, counter-clockwise, degrees."""
 
 
 def read_plan(table: TomlTable, unknown: list[str]) -> PlanPicture:
-    """The table's plan; keys that mean nothing here are added to `unknown`.
+    """Read the plan of a table; unknown keys are added to `unknown`.
 
     Raises:
-        UserError: Something is missing or wrong; the message names file and key.
+        UserError: A key is missing or invalid; the message names file and key.
     """
     name = table.text("file")
     if not name or not name.isprintable():
@@ -109,12 +109,12 @@ _FOR_GENERATING: Final = (
     *("background", "conditions", "flows", "ground_height", "lefthand", "light", "name", "network", "origin"),
     *("shades", "splits", "style", "vehicles_per_hour"),
 )
-"""Keys that `skope gen` alone reads."""
+"""Keys that only `skope gen` reads."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SiteParts:
-    """The parts of a site file that generating and evaluating share, but for camera and occluders."""
+    """Parts of a site file that generation and evaluation share, without camera and occluders."""
 
     calibration: CalibrationMarks | None
     """Marks that calibrate the camera; None: there are none."""
@@ -122,28 +122,28 @@ class SiteParts:
     zones: tuple[Zone, ...]
     lanes: tuple[Lane, ...]
     time_zone: str | None
-    """Name of the time zone that people at the road live by, as "Europe/Berlin"; None: not said."""
+    """Name of the local time zone of the road, for example "Europe/Berlin"; None: not given."""
     start: datetime | None
-    """Time at which the footage begins, with its zone; None: not said."""
+    """Time at which the footage begins, with its zone; None: not given."""
     world: Mapping[str, Any] | None
-    """Place of the world's (0, 0) on a map, as `read_world` has it; None: not said."""
+    """Position of the world's (0, 0) on a map, as `read_world` returns it; None: not given."""
     plan: PlanPicture | None
-    """A picture of the road from above; None: there is none."""
+    """Image of the road from above; None: there is none."""
     traffic: TrafficSettings
-    """By what rules traffic is counted and measured."""
+    """Rules for counting and measuring traffic."""
     unknown: tuple[str, ...]
-    """Keys in these parts that mean nothing here."""
+    """Unknown keys in these parts."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SiteFile(SiteParts):
-    """A site file."""
+    """Contents of a site file."""
 
     path: Path
     revision: str
-    """SHA-256 of the bytes that were read, by which it is told whether somebody else has saved the file since."""
+    """SHA-256 of the bytes that were read, which shows whether the file has been saved again since."""
     camera: OwnCamera | None
-    """The camera and how well it is known; None where the file has no camera yet."""
+    """The camera with its uncertainty; None if the file has no camera yet."""
     occluders: tuple[OccluderMark, ...]
 
 
@@ -154,13 +154,13 @@ def read_site(path: Path) -> SiteFile:
         path: A TOML file (docs/own-road.md); files that it names are relative to its folder.
 
     Raises:
-        UserError: A file cannot be read, or a key is missing or wrong; the message names file and key.
+        UserError: A file cannot be read, or a key is missing or invalid; the message names file and key.
     """
     return parse_site(path, read_bytes(path))
 
 
 def parse_site(path: Path, data: bytes) -> SiteFile:
-    """The site file of these bytes; `path` is what messages name. Raises as `read_site` does."""
+    """Return the site file of these bytes; messages name `path`. Raises as `read_site` does."""
     try:
         table = TomlTable.parse(path, decoded(data))
     except UnicodeDecodeError:
@@ -183,7 +183,7 @@ def parse_site(path: Path, data: bytes) -> SiteFile:
 
 
 def read_parts(table: TomlTable) -> SiteParts:
-    """The parts of a site file that everything shares. Raises UserError naming file and key."""
+    """Return the shared parts of a site file. Raise UserError naming file and key."""
     unknown: list[str] = []
     zone = _time_zone(table)
     gates = _named(table, "gates", read_gate, unknown)
@@ -204,7 +204,7 @@ def read_parts(table: TomlTable) -> SiteParts:
 
 
 def _named(table: TomlTable, key: str, read: Callable[[TomlTable], _Part], unknown: list[str]) -> tuple[_Part, ...]:
-    """The rows of a list of tables, no two of one name."""
+    """Return the rows of a list of tables with unique names."""
     out, names = [], set[str]()
     for row in table.rows(key):
         out.append(read(row))
@@ -222,7 +222,7 @@ def _time_zone(table: TomlTable) -> ZoneInfo | None:
     name = table.text("time_zone")
     try:
         return ZoneInfo(name)
-    except (ValueError, KeyError, OSError):  # no such zone, a path, a folder of zones
+    except (ValueError, KeyError, OSError):  # unknown zone, a path, a folder of zones
         raise table.wrong("time_zone", f'expected a name like "Europe/Berlin", got {name[:60]!r}') from None
 
 

@@ -1,4 +1,4 @@
-"""The [traffic] table of a site file: by what rules traffic is counted and measured there."""
+"""The [traffic] table of a site file: rules for counting and measuring traffic."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,12 +8,12 @@ from skope.records import TomlTable, plain_values
 from skope.site.gates_zones_lanes import checked_name
 
 VEHICLE_CLASSES: Final = ("car", "van", "lorry", "bus")
-"""Classes that a vehicle can be of; one whose class is not sure enough to be named is of class unknown."""
+"""Classes of vehicles. A vehicle with a too uncertain class has the class unknown."""
 UNKNOWN_CLASS: Final = "unknown"
 OF_VEHICLES: Final = frozenset({*VEHICLE_CLASSES, UNKNOWN_CLASS})
-"""Classes of vehicles, with that of those whose class is not sure enough."""
+"""Classes of vehicles, including unknown."""
 TRAFFIC_CLASSES: Final = (*VEHICLE_CLASSES, UNKNOWN_CLASS, "motorcycle", "bicycle", "pedestrian")
-"""All classes by which traffic is counted."""
+"""All classes for counting traffic."""
 PCE_FACTORS: Final[Mapping[str, float]] = {
     "van": 1.0,
     "lorry": 2.3,
@@ -31,12 +31,12 @@ class SettingLimits:
     """Limits of the traffic settings."""
 
     largest_pce: float = 10.0
-    """Largest passenger-car equivalent."""
+    """Maximum passenger-car equivalent."""
     day_minutes: int = 1440
-    """Minutes of a day."""
+    """Number of minutes per day."""
     length_bins_m: tuple[float, float] = (5.0, 30.0)
-    """Range of the limits of length bins, metres. Cars are not classified by length better than their errors, which
-    are alike for all of a model."""
+    """Range of the limits of length bins, metres. Cars cannot be classified more finely, because the length errors of
+    one model are equal."""
 
 
 SETTING_LIMITS: Final = SettingLimits()
@@ -44,46 +44,46 @@ SETTING_LIMITS: Final = SettingLimits()
 
 @dataclass(frozen=True, kw_only=True)
 class TrafficSettings:
-    """Limits of events, and the intervals that they are summed up over."""
+    """Limits for events, and the length of counting intervals."""
 
     interval_minutes: int = 15
-    """Length of the intervals on the clock; a day is a whole number of them."""
+    """Length of the counting intervals, minutes; it must divide a day."""
     classes: tuple[str, ...] = TRAFFIC_CLASSES
-    """Of `TRAFFIC_CLASSES`: who is counted."""
+    """Counted classes, from `TRAFFIC_CLASSES`."""
     hysteresis_m: float = 0.5
-    """A gate is crossed, a zone entered, when the road user is seen so far on the other side."""
+    """Distance beyond a gate's line or a zone's edge at which it counts as crossed or entered, metres."""
     least_travel_m: float = 1.0
-    """And when so much of its way lies along the gate's normal. To be counted there and back, a vehicle goes twice this
-    far from the line in between, others once."""
+    """Minimum distance travelled along the gate's normal, metres. To be counted in both directions, a vehicle must move
+    twice this distance away from the line in between, other road users once."""
     ttc_s: float = 1.5
-    """A time to collision up to this is a conflict."""
+    """Maximum time to collision of a conflict, seconds."""
     pet_s: float = 5.0
-    """A post-encroachment time up to this is noted."""
+    """Maximum reported post-encroachment time, seconds."""
     hard_braking_ms2: float = 4.0
-    """A vehicle that brakes so hard for a second brakes hard."""
+    """Minimum deceleration over a second of hard braking, m/s^2."""
     queue_speed_kmh: float = 5.0
-    """A vehicle that is slower stands in a queue."""
+    """Speed below which a vehicle joins a queue, km/h."""
     queue_end_kmh: float = 10.0
-    """A vehicle in a queue stands in it until it is faster than this."""
+    """Speed above which a vehicle leaves a queue, km/h."""
     queue_gap_m: float = 20.0
-    """A queue ends where the next vehicle is farther away than this."""
+    """Maximum distance to the next vehicle of a queue, metres."""
     stop_kmh: float = 3.0
-    """A road user that is slower for a second and longer has stopped, until it is twice as fast as this."""
+    """Speed below which a road user has stopped after a second, until it is twice as fast, km/h."""
     free_flow_kmh: float | None = None
-    """Speed without hindrance, which delays are counted from; None: the 85th percentile of the section's motor
+    """Free-flow speed, the reference for delays, km/h; None: the 85th percentile of the section's motor
     vehicles."""
     turning: tuple[str, ...] | None = None
-    """Names of the gates between which movements are counted; None: all."""
+    """Names of the gates for turning movements; None: all."""
     trajectory_interval_s: float = 0.5
-    """Trajectories are written with a row so often."""
+    """Time between rows of written trajectories, seconds."""
     length_bins_m: tuple[float, float] = (6.55, 14.94)
-    """From which lengths on vehicles are medium, and long: 21.5 and 49 feet (Minge and others, "Loop- and length-based
-    vehicle classification", Federal Highway Administration's pooled fund TPF-5(192), 2012)."""
+    """Minimum lengths of medium and of long vehicles, metres: 21.5 and 49 feet (Minge and others, "Loop- and
+    length-based vehicle classification", Federal Highway Administration's pooled fund TPF-5(192), 2012)."""
     pce: Mapping[str, float] = field(default_factory=lambda: dict(PCE_FACTORS), hash=False)
-    """Passenger-car equivalent of each class; a car is 1 and a pedestrian 0."""
+    """Passenger-car equivalent by class; a car is 1 and a pedestrian 0."""
 
     def to_dict(self) -> dict[str, Any]:
-        """The settings as JSON has them."""
+        """Return the settings as JSON values."""
         return plain_values(self)
 
 
@@ -99,19 +99,19 @@ SETTING_RANGES: Final = {
     "stop_kmh": (0.5, 20.0),
     "trajectory_interval_s": (0.0, 60.0),
 }
-"""Settings that are numbers, and what they can be."""
+"""Numeric settings with their ranges."""
 
 
 def read_traffic(table: TomlTable, gates: tuple[str, ...], unknown: list[str]) -> TrafficSettings:
-    """The table's settings, the default where it does not name one; keys that mean nothing are added to `unknown`.
+    """Read the settings of a table, with defaults for missing ones; unknown keys are added to `unknown`.
 
     Args:
-        table: The table; an empty one where the file has none.
+        table: The table; empty if the file has none.
         gates: Names of the site's gates.
-        unknown: Takes the keys that mean nothing here.
+        unknown: List that receives unknown keys.
 
     Raises:
-        UserError: A value is wrong; the message names file and key.
+        UserError: A value is invalid; the message names file and key.
     """
     plain = TrafficSettings()
     numbers = {
@@ -141,7 +141,7 @@ def _interval(table: TomlTable, default: int) -> int:
 
 
 def _length_bins(table: TomlTable) -> tuple[float, float] | None:
-    """The two limits; None where the key is missing."""
+    """Return the two limits; None if the key is missing."""
     if "length_bins_m" not in table:
         return None
     first, second = table.numbers("length_bins_m", 2)
@@ -154,10 +154,10 @@ def _length_bins(table: TomlTable) -> tuple[float, float] | None:
 
 
 def _pce_factors(table: TomlTable) -> dict[str, float]:
-    """The passenger-car equivalents, with defaults for the classes that the table does not name.
+    """Return the passenger-car equivalents, with defaults for missing classes.
 
     Raises:
-        UserError: A class is unknown, or a factor is no number from 0 to 10.
+        UserError: A class is unknown, or a factor is not a number from 0 to 10.
     """
     factors = table.table("pce")
     read = {
@@ -169,7 +169,7 @@ def _pce_factors(table: TomlTable) -> dict[str, float]:
 
 
 def _names(table: TomlTable, key: str, known: tuple[str, ...], what: str) -> tuple[str, ...] | None:
-    """A list of names, each of which is known; None where the key is missing."""
+    """Return a list of known names; None if the key is missing."""
     if key not in table:
         return None
     names = table.value(key)
@@ -179,5 +179,5 @@ def _names(table: TomlTable, key: str, known: tuple[str, ...], what: str) -> tup
         if checked_name(table, key, name) not in known:
             raise table.wrong(key, f"{name!r} is none of the {what}: {', '.join(known) or 'there are none'}")
     if len(set(names)) < len(names):
-        raise table.wrong(key, "a name stands there twice")
+        raise table.wrong(key, "a name is listed twice")
     return tuple(names)

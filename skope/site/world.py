@@ -1,4 +1,4 @@
-"""The [world] table of a site file: where the world's (0, 0) is on its map, and positions of a site on the Earth."""
+"""The [world] table of a site file: the position of the world's (0, 0) on a map or on the Earth."""
 
 import re
 from collections.abc import Mapping
@@ -17,20 +17,20 @@ def on_earth(world: Mapping[str, Any] | None, places: Array) -> Array:
     """Convert positions of a site to longitude and latitude.
 
     Args:
-        world: The site's [world] table, None where it has none.
+        world: The site's [world] table; None if it has none.
         places: (..., 2) positions in the site's world, metres.
 
     Returns:
         (..., 2) longitude and latitude (WGS84), degrees.
 
     Raises:
-        UserError: There is no [world] table, or its grid is not UTM's.
+        UserError: There is no [world] table, or its grid is not UTM.
     """
     if world is None:
-        raise UserError("the site does not say where on the Earth it is: [world] with an origin (docs/own-road.md)")
+        raise UserError("the site's position on the Earth is missing: [world] with an origin (docs/own-road.md)")
     axes = world.get("axes", "east, north")
     if axes != "east, north":
-        raise UserError(f"world.axes: places on the Earth need x east and y north, got {axes!r:.40}")
+        raise UserError(f"world.axes: positions on the Earth need x east and y north, got {axes!r:.40}")
     origin = world["origin"]
     if "longitude" in origin:
         about = (origin["longitude"], origin["latitude"])
@@ -48,18 +48,18 @@ def on_earth(world: Mapping[str, Any] | None, places: Array) -> Array:
 
 
 UTM_ZONE: Final = re.compile(r"([1-9]|[1-5][0-9]|60)([NS])")
-"""A UTM zone: its number and half of the Earth."""
+"""UTM zone: its number and hemisphere."""
 _FARTHEST_M: Final = 1e8
 
 
 def read_world(table: TomlTable, unknown: list[str]) -> Mapping[str, Any]:
-    """The table's values as they stand there: `origin`, and perhaps `axes`, `utm_zone`, `epsg` and `scale`.
+    """Read the table's values unchanged: `origin`, and optionally `axes`, `utm_zone`, `epsg` and `scale`.
 
-    The origin is longitude and latitude in degrees, or easting and northing in metres of a UTM zone. Keys that mean
-    nothing here are added to `unknown`.
+    The origin is longitude and latitude in degrees, or easting and northing in metres of a UTM zone. Unknown keys are
+    added to `unknown`.
 
     Raises:
-        UserError: Something is missing or wrong; the message names file and key.
+        UserError: A key is missing or invalid; the message names file and key.
     """
     out: dict[str, Any] = {"origin": _origin(table.table("origin"), unknown)}
     if "axes" in table:
@@ -82,7 +82,7 @@ def read_world(table: TomlTable, unknown: list[str]) -> Mapping[str, Any]:
 
 
 def _origin(table: TomlTable, unknown: list[str]) -> dict[str, float]:
-    """Raises UserError where it is neither in degrees nor in metres."""
+    """Return the origin. Raise UserError if it is neither in degrees nor in metres."""
     limits = {"longitude": 180.0, "latitude": 90.0}
     if "easting" in table or "northing" in table:
         limits = {"easting": _FARTHEST_M, "northing": _FARTHEST_M}

@@ -1,6 +1,6 @@
-"""Save a site file: what was changed takes its place, and comments, order and keys that nobody knows stay.
+"""Save a site file: changed values are replaced; comments, order and unknown keys are kept.
 
-A file that somebody else has saved since it was read is not overwritten.
+A file that has been saved elsewhere since it was read is not overwritten.
 """
 
 import hashlib
@@ -14,18 +14,18 @@ from skope.site.site_file import SiteFile, parse_site
 
 
 def save_site(path: Path, changes: Mapping[str, Any], revision: str | None) -> SiteFile:
-    """Change keys of a site file, and return the file as it is then.
+    """Change keys of a site file, and return the new contents.
 
     Args:
-        path: The file; a symbolic link stays one.
-        changes: New values of keys at the top of the file: texts, numbers, times, lists, tables. A table's keys are
-            changed one by one, and those that are not named stay; None removes a key. Rows of a list of tables that
-            have the same `name` as before are changed likewise; others are removed.
-        revision: `SiteFile.revision` of what was read; None: there was no file.
+        path: The file; a symbolic link is kept.
+        changes: New values of top-level keys: texts, numbers, times, lists, tables. The keys of a table are changed
+            one by one, and missing ones are kept; None removes a key. Rows of a list of tables are matched by `name`
+            and changed in the same way; unmatched rows are removed.
+        revision: `SiteFile.revision` of the file when it was read; None: there was no file.
 
     Raises:
-        UserError: Somebody else has saved the file since, it cannot be written, or what would be written is no site
-            file; the file is then what it was.
+        UserError: The file has been saved elsewhere since, it cannot be written, or the result would not be a valid
+            site file. The file is then unchanged.
     """
     whole = path.resolve()
     if not whole.parent.is_dir():
@@ -42,12 +42,12 @@ def save_site(path: Path, changes: Mapping[str, Any], revision: str | None) -> S
                     if before is not None:
                         part.chmod(whole.stat().st_mode)
             return site
-    except OSError as error:  # the lock's own
+    except OSError as error:  # of the lock file
         raise UserError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def _unchanged(path: Path, whole: Path, revision: str | None) -> bytes | None:
-    """The file's bytes, None where there is none; UserError where they are not those of the revision."""
+    """Return the file's bytes, None if there is none; raise UserError if they do not match the revision."""
     data = read_bytes(whole) if whole.exists() else None
     if (None if data is None else hashlib.sha256(data).hexdigest()) != revision:
         raise UserError(
@@ -71,7 +71,7 @@ def _changed(path: Path, data: bytes | None, changes: Mapping[str, Any]) -> byte
 
 
 def _merge(table: Any, changes: Mapping[str, Any], *, inline: bool) -> None:
-    """Change a table of tomlkit in place."""
+    """Change a tomlkit table in place."""
     for key, value in changes.items():
         if value is None:
             if key in table:
@@ -90,7 +90,7 @@ def _merge(table: Any, changes: Mapping[str, Any], *, inline: bool) -> None:
 
 
 def _merge_rows(table: Any, key: str, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Change a list of tables: rows keep what they have besides."""
+    """Change a list of tables; rows keep their other keys."""
     from tomlkit.items import AoT
 
     old = table[key]
@@ -111,7 +111,7 @@ def _merge_rows(table: Any, key: str, rows: Sequence[Mapping[str, Any]]) -> None
 
 
 def _partners(before: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, Any]]) -> list[int | None]:
-    """Index of the row that each was before: of its name, or in its place with another name alone; None: it is new."""
+    """Return the index of each row's earlier version: same name, or same place and content; None: it is new."""
 
     def other_than_name(row: Mapping[str, Any]) -> dict[str, Any]:
         return {key: value for key, value in row.items() if key != "name" and value is not None}
@@ -128,7 +128,7 @@ def _partners(before: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, A
 
 
 def _made(value: Any, *, inline: bool) -> Any:
-    """A value as tomlkit writes it: tables one below the other, or within a line; lists of tables a line each."""
+    """Return a tomlkit value: tables one below the other, or within a line; lists of tables with a line each."""
     import tomlkit
 
     if isinstance(value, Mapping):
@@ -151,7 +151,7 @@ def _made(value: Any, *, inline: bool) -> Any:
 
 
 def _says_nothing(value: Any) -> bool:
-    """Whether a table only removes keys, so that there is nothing to add."""
+    """Return whether a table only removes keys, so that there is nothing to add."""
     return isinstance(value, Mapping) and all(one is None for one in value.values())
 
 

@@ -1,4 +1,4 @@
-"""Tracks seen from above, as one picture: where vehicles drove, how fast, and where they stood at one moment."""
+"""Draw tracks from above in one image: paths, speeds, and the vehicles at one moment."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,19 +39,19 @@ class MapStyle:
     many_tracks: int = 20
     """Number of tracks above which lines are thinner, with one arrowhead, and only drawn vehicles are labelled."""
     tallest: float = 0.85
-    """Largest height over width."""
+    """Maximum ratio of height to width."""
     flattest: float = 0.45
-    """Least height over width."""
+    """Minimum ratio of height to width."""
     road_cells: int = 1500
-    """Cells of the road's image along its longer side."""
+    """Number of cells of the road's image along its longer side."""
     kept_cells: int = 1200
-    """Cells of the road's image that is kept for other maps, along its longer side."""
+    """Number of cells along the longer side of the road's image that is kept for other maps."""
     kept_quality: int = 70
     """JPEG quality of that image."""
     driving_kmh: float = 5.0
-    """Speed below which a vehicle does not count in the usual driving speed, km/h."""
+    """Minimum speed at which a vehicle counts for the upper end of the colour scale, km/h."""
     standing_m: float = 4.0
-    """Length of a track below which it has no direction of travel, metres."""
+    """Track length below which a track has no direction of travel, metres."""
     wedge: tuple[tuple[float, float], ...] = ((0.85, 0.0), (0.1, 0.7), (0.1, -0.7))
     """Corners of the wedge that points to a vehicle's front, in halves of its length and width."""
 
@@ -59,7 +59,7 @@ class MapStyle:
 MAP_STYLE: Final = MapStyle()
 
 _MAP_PLACE: Final = {"left": 0.055, "right": 0.895, "top": 0.85, "bottom": 0.5}
-"""Place of the map: shares of the picture's width to the left and right, inches at the top and bottom."""
+"""Position of the map: left and right as shares of the image width, top and bottom margins in inches."""
 
 
 def draw(
@@ -70,15 +70,15 @@ def draw(
     road: Pixels | None,
     road_users: Sequence[Track] = (),
 ) -> None:
-    """Write the picture of the tracks; metres, the world's y upwards.
+    """Write an image of the tracks from above; in metres, with the world's y upwards.
 
     Args:
         path: The .png file.
         tracks: The tracks of vehicles.
-        camera: What they were seen with.
-        ground: Where the road is; None: unknown, then the camera's field of view is left out.
-        road: (H, W, 3) what the camera sees of the empty road, of its size; it is laid under the tracks. None: nothing.
-        road_users: The tracks of people on foot and on two wheels.
+        camera: The camera of the tracks.
+        ground: The road; None: unknown, then the camera's field of view is left out.
+        road: (H, W, 3) the empty road as the camera shows it, drawn below the tracks. None: no background.
+        road_users: The tracks of pedestrians and two-wheelers.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -118,10 +118,10 @@ def draw(
 
 
 def road_picture(tracks: Sequence[Track], camera: Camera, ground: Ground, road: Pixels) -> RoadPicture:
-    """The empty road from above: the rectangle that `draw` shows.
+    """Return the empty road from above, in the rectangle that `draw` shows.
 
     Args:
-        tracks: Tracks, which the rectangle holds.
+        tracks: Tracks that the rectangle must contain.
         camera: The camera, with its pose.
         ground: The road.
         road: (H, W, 3) the empty road as the camera shows it.
@@ -137,14 +137,14 @@ def road_picture(tracks: Sequence[Track], camera: Camera, ground: Ground, road: 
 def _write_heading(
     figure: "Figure", tracks: Sequence[Track], road_users: Sequence[Track], moment_s: float | None
 ) -> None:
-    """Over the map: how many tracks in how long, and what lines and outlines are."""
+    """Write the number and duration of the tracks above the map, and explain lines and outlines."""
     place, height = _MAP_PLACE["left"], figure.get_figheight()
     heading, note = "No vehicle was tracked", ""
     if tracks:
         seconds = max(t.times_s[-1] for t in tracks) - min(t.times_s[0] for t in tracks)
         heading = f"{counted(len(tracks), 'track')} of vehicles in {seconds:.1f} s"
         note = (
-            "Lines: ways driven, numbered as in tracks.csv (a vehicle that was hidden may have two). "
+            "Lines: paths driven, numbered as in tracks.csv (a vehicle that was hidden may have two). "
             f"Outlines: the vehicles at {moment_s:.1f} s."
         )
     if road_users:
@@ -156,7 +156,7 @@ def _write_heading(
 
 
 def extent(tracks: Sequence[Track], camera_xy: Array) -> tuple[Array, Array]:
-    """Corners (2,) of the map: sure places and the camera, with a margin, in a shape that fills the picture."""
+    """Return the corners (2,) of the map: accurate positions and the camera, with a margin and a limited shape."""
     sure = [t.xy[t.position_sigma <= MAP_STYLE.extent_sigma_m] for t in tracks]
     places = np.concatenate([camera_xy[None], *(sure if sum(map(len, sure)) else (t.xy for t in tracks))])
     low, high = places.min(axis=0) - MAP_STYLE.margin_m, places.max(axis=0) + MAP_STYLE.margin_m
@@ -167,7 +167,7 @@ def extent(tracks: Sequence[Track], camera_xy: Array) -> tuple[Array, Array]:
 
 
 def _fullest_frame(tracks: Sequence[Track]) -> int:
-    """The last of the frames with the most vehicles in them."""
+    """Return the last of the frames with the most vehicles."""
     if not tracks:
         return 0
     counts = np.bincount(np.concatenate([track.frames for track in tracks]))
@@ -175,7 +175,7 @@ def _fullest_frame(tracks: Sequence[Track]) -> int:
 
 
 def _speed_colors(tracks: Sequence[Track]) -> "tuple[Colormap, Normalize]":
-    """Colours of speeds in km/h that are dark enough for a pale road, up to a figure that nearly all who drive keep."""
+    """Return a colour map dark enough for a pale road, and a scale in km/h up to the 98th percentile, rounded up."""
     import matplotlib as mpl
 
     whole = mpl.colormaps["plasma"]
@@ -187,7 +187,7 @@ def _speed_colors(tracks: Sequence[Track]) -> "tuple[Colormap, Normalize]":
 
 
 def _draw_view(axes: "Axes", view: GroundView, road: Pixels | None) -> None:
-    """The road's picture, and the edge of what the camera sees."""
+    """Draw the image of the road, and the edge of the camera's field of view."""
     extent = (view.low[0], view.high[0], view.low[1], view.high[1])
     if road is not None:
         axes.imshow(view.pale(road), extent=extent, interpolation="bilinear", zorder=0)
@@ -208,9 +208,9 @@ def _draw_view(axes: "Axes", view: GroundView, road: Pixels | None) -> None:
 
 
 def _draw_path(axes: "Axes", track: Track, colors: "Colormap", norm: "Normalize", *, many: bool) -> None:
-    """A track's line with a pale edge, coloured by speed, and arrowheads in the direction of travel.
+    """Draw a track's line with a pale edge, coloured by speed, and arrowheads in the direction of travel.
 
-    One of `many` is thin.
+    The line is thin if there are `many` tracks.
     """
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Polygon
@@ -237,7 +237,7 @@ def _draw_path(axes: "Axes", track: Track, colors: "Colormap", norm: "Normalize"
 
 
 def _draw_road_user(axes: "Axes", track: Track, frame: int) -> None:
-    """The way of somebody on foot or on two wheels, and a dot at the place in a frame."""
+    """Draw the path of a pedestrian or two-wheeler, and a dot at its position in a frame."""
     color = map_signs.ROAD_USERS[track.category]
     axes.plot(*track.xy.T, color=color, linewidth=1.4, linestyle=(0, (1, 1.2)), zorder=3)
     if frame in track.frames:
@@ -246,7 +246,7 @@ def _draw_road_user(axes: "Axes", track: Track, frame: int) -> None:
 
 
 def _draw_vehicle(axes: "Axes", track: Track, i: int, color: Any) -> None:
-    """A vehicle's outline as it stands in its i-th frame, with a wedge towards its front."""
+    """Draw a vehicle's outline in its i-th frame, with a wedge towards its front."""
     from matplotlib.patches import Polygon
 
     outline, wedge = (

@@ -1,4 +1,4 @@
-"""Tracks seen from above, as a video of outlines that move over the road."""
+"""Draw tracks from above as a video of outlines that move over the road."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -41,7 +41,7 @@ _LABEL_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 
 
 class _Map:
-    """The map of the road that all pictures share."""
+    """Map of the road, shared by all frames."""
 
     def __init__(self, tracks: Sequence[Track], camera: Camera, ground: Ground | None, road: Pixels | None) -> None:
         low, high = extent(tracks, camera.position[:2])
@@ -59,24 +59,24 @@ class _Map:
         self._draw_scale()
 
     def at(self, places: Array) -> NDArray[np.int32]:
-        """(..., 2) pixels of places (..., 2), metres."""
+        """Return (..., 2) pixels of positions (..., 2), metres."""
         flipped = (places - self._low) * self._scale * [1, -1] + [0, self._height]
         return np.asarray(np.rint(flipped), dtype=np.int32)
 
     def holds(self, place: Array) -> bool:
-        """Whether a place (2,) is on the map."""
+        """Return whether a position (2,) is on the map."""
         x, y = self.at(place).tolist()
         return bool(0 <= x < self._width and 0 <= y < self._height)
 
     def present(self, tracks: Sequence[T], frame: int) -> Iterator[tuple[T, int]]:
-        """The tracks that are on the map in a frame, each with its own number of that frame."""
+        """Yield the tracks that are on the map in a frame, each with its row for that frame."""
         for track in tracks:
             i = frame - int(track.frames[0])
             if 0 <= i < len(track.frames) and self.holds(track.position[i, :2]):
                 yield track, i
 
     def _draw_scale(self) -> None:
-        """A bar of a round length at the lower right."""
+        """Draw a scale bar of a round length at the lower right."""
         metres = max(bar for bar in map_signs.MAP_SYMBOLS.bars_m if bar <= max(1, self._width / self._scale / 5))
         right, low = self._width - 20, self._height - 20
         left = right - round(metres * self._scale)
@@ -92,15 +92,15 @@ def birdseye_frames(
     road: Pixels | None,
     road_users: Sequence[Track] = (),
 ) -> Iterator[Pixels]:
-    """A picture (H, W, 3) from above for each time, y upwards: outlines with a line to their front, number and km/h.
+    """Yield a frame (H, W, 3) from above for each time, y upwards: outlines with a front line, number and km/h.
 
     Args:
         tracks: The vehicles' tracks.
-        times_s: Time of each picture, seconds.
+        times_s: Time of each frame, seconds.
         camera: The camera, with its pose.
         ground: The road; None: unknown.
-        road: (H, W, 3) the empty road as the camera shows it; None: not at hand.
-        road_users: Tracks of people on foot and on two wheels, who are dots.
+        road: (H, W, 3) the empty road as the camera shows it; None: not available.
+        road_users: Tracks of pedestrians and two-wheelers, drawn as dots.
     """
     shown = _Map([*tracks, *road_users], camera, ground, road)
     for frame, time_s in enumerate(times_s):
@@ -114,7 +114,7 @@ def birdseye_frames(
 
 
 def _draw(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
-    """A vehicle in its i-th frame, and the way that it has come."""
+    """Draw a vehicle in its i-th frame, and its recent path."""
     color = DRAWING_STYLE.palette[track.number % len(DRAWING_STYLE.palette)]
     since = int(np.searchsorted(track.times_s, track.times_s[i] - MAP_VIDEO_STYLE.trail_s))
     cv2.polylines(picture, [shown.at(track.position[since : i + 1, :2])], False, color, 2, cv2.LINE_AA)
@@ -128,7 +128,7 @@ def _draw(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
 
 
 def _draw_dot(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
-    """Somebody on foot or on two wheels in the track's i-th frame, and the way behind."""
+    """Draw a pedestrian or two-wheeler in the track's i-th frame, and its recent path."""
     color = DRAWING_STYLE.palette[track.number % len(DRAWING_STYLE.palette)]
     since = int(np.searchsorted(track.times_s, track.times_s[i] - MAP_VIDEO_STYLE.trail_s))
     cv2.polylines(picture, [shown.at(track.position[since : i + 1, :2])], False, color, 1, cv2.LINE_AA)
@@ -145,20 +145,20 @@ def put_text(
     color: tuple[int, int, int] = MAP_VIDEO_STYLE.ink,
     size: float = 0.45,
 ) -> None:
-    """Write a text with a white edge, moved where it would leave the picture.
+    """Write a text with a white edge, moved if it would leave the image.
 
     Args:
         picture: (H, W, 3), changed in place.
         text: One line.
         place: Column and row of its lower left corner, pixels.
         color: RGB.
-        size: Size of the letters, as OpenCV has it.
+        size: Font scale of OpenCV.
     """
-    text = text.replace("±", "+-")  # OpenCV's letters are ASCII's
+    text = text.replace("±", "+-")  # OpenCV's fonts are ASCII only
     (width, height), _ = cv2.getTextSize(text, _LABEL_FONT, size, 1)
     x = int(np.clip(place[0], 2, max(2, picture.shape[1] - width - 4)))
     y = int(np.clip(place[1], height + 2, picture.shape[0] - 4))
-    # Thicker letters may be wider, and would not lie under the thin ones.
+    # The outline is drawn with the thin font's positions, because thicker letters may be wider.
     for dx, dy in itertools.product((-1, 0, 1), repeat=2):
         cv2.putText(picture, text, (x + dx, y + dy), _LABEL_FONT, size, (255, 255, 255), 1, cv2.LINE_AA)
     cv2.putText(picture, text, (x, y), _LABEL_FONT, size, color, 1, cv2.LINE_AA)

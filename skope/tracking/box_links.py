@@ -1,7 +1,7 @@
-"""Links between the boxes of one vehicle from frame to frame of a video.
+"""Link the boxes of one vehicle from frame to frame of a video.
 
-A box is where its vehicle is expected from the frames before, or where points on the vehicle were followed to (`Result.
-track_id` of `skope.footage.key_frames`); what is not seen for a while and comes back is another vehicle.
+A box is linked to a vehicle with a predicted box nearby, or to one with points that were followed to the box
+(`Result.track_id` of `skope.footage.key_frames`). A vehicle that is not detected for a while counts as a new vehicle.
 """
 
 from collections.abc import Sequence
@@ -21,28 +21,28 @@ class LinkLimits:
     """Limits of linking boxes from frame to frame."""
 
     unreachable_cost: float = 1e6
-    """Stands for infinity, which the assignment does not accept."""
+    """Cost used in place of infinity, which the assignment does not accept."""
     frame_gap_s: float = 0.3
-    """Frames farther apart are not linked by boxes, seconds."""
+    """Maximum time between frames that are linked by boxes, seconds."""
     lost_s: float = 1.0
-    """A vehicle that was not detected for this long is another one when it comes back, seconds."""
+    """Time without a detection after which a vehicle gets a new number, seconds."""
     reach_sizes: float = 0.7
-    """Largest distance of a vehicle from its predicted position, in its sizes."""
+    """Maximum distance of a vehicle from its predicted position, in its sizes."""
     first_reach_sizes: float = 1.5
-    """The same before its speed is known."""
+    """Maximum distance before its speed is known, in its sizes."""
     size_ratio: float = 1.8
-    """Largest ratio of the sizes of a vehicle's boxes in two frames."""
+    """Maximum ratio of the sizes of a vehicle's boxes in two frames."""
 
 
 LINK_LIMITS: Final = LinkLimits()
 
 
 def cheapest_pairs(cost: Array, below: float) -> list[tuple[int, int]]:
-    """Pair rows with columns, one to one, at the least cost in total (Jonker and Volgenant's algorithm, of scipy).
+    """Pair rows with columns, one to one, at the lowest total cost (Jonker and Volgenant's algorithm, from scipy).
 
     Args:
-        cost: (N, M) what each pair costs, far less than a million; infinite where there can be none.
-        below: Only pairs that cost less are returned.
+        cost: (N, M) cost of each pair, far less than a million; infinite for impossible pairs.
+        below: Only pairs with a lower cost are returned.
     """
     pairs = zip(*linear_sum_assignment(np.minimum(cost, LINK_LIMITS.unreachable_cost)), strict=True)
     return [(int(row), int(column)) for row, column in pairs if cost[row, column] < below]
@@ -50,20 +50,20 @@ def cheapest_pairs(cost: Array, below: float) -> list[tuple[int, int]]:
 
 @dataclass(slots=True)
 class _Last:
-    """The last sight of a vehicle."""
+    """Latest detection of a vehicle."""
 
     time_s: float
     box: Array
     """(4,) x0, y0, x1, y1, pixels."""
     followed: int | None
-    """The `track_id` that it had there."""
+    """`track_id` of that detection."""
     velocity: Array = field(default_factory=lambda: np.zeros(4))
-    """(4,) of the box's edges, pixels a second."""
+    """(4,) velocity of the box's edges, pixels per second."""
     seen: int = 1
-    """In how many frames it is."""
+    """Number of frames with a detection of the vehicle."""
 
     def expected(self, time_s: float) -> Array:
-        """(4,) its box at a later time."""
+        """Return the predicted box (4,) at a later time."""
         return self.box + self.velocity * (time_s - self.time_s)
 
     def see(self, time_s: float, box: Array, followed: int | None) -> None:
@@ -74,19 +74,19 @@ class _Last:
 
 
 class BoxLinks:
-    """Vehicles of a video, by number from 0, frame by frame."""
+    """Numbers the vehicles of a video from 0, frame by frame."""
 
     def __init__(self) -> None:
         self._live: dict[int, _Last] = {}
         self._count = 0
 
     def add(self, time_s: float, found: Sequence[Found], first: Sequence[bool] | None = None) -> Integers32:
-        """Take the detections of the next frame, which is later, as `add_boxes` takes boxes.
+        """Add the detections of the next frame; see `add_boxes`.
 
         Args:
-            time_s: Seconds.
-            found: N detections of the frame; `track_id` says where points were followed to.
-            first: Which of them choose their vehicles before the others; None: all.
+            time_s: Time of the frame, seconds; later than the previous one.
+            found: N detections of the frame; `track_id` links them by followed points.
+            first: Which detections choose their vehicles before the others; None: all.
 
         Returns:
             (N,) the number of each detection's vehicle.
@@ -102,13 +102,13 @@ class BoxLinks:
         followed: Sequence[int | None] | None = None,
         first: Sequence[bool] | None = None,
     ) -> Integers32:
-        """Take the boxes of the next frame, which is later.
+        """Add the boxes of the next frame.
 
         Args:
-            time_s: Seconds.
+            time_s: Time of the frame, seconds; later than the previous one.
             boxes: (N, 4) x, y, width, height, pixels.
-            followed: What each shares with a box of a frame before, where points were followed; None: nothing is known.
-            first: Which of them choose their vehicles before the others; None: all.
+            followed: Number that each box shares with a box of an earlier frame by followed points; None: unknown.
+            first: Which boxes choose their vehicles before the others; None: all.
 
         Returns:
             (N,) the number of each box's vehicle.
@@ -119,7 +119,7 @@ class BoxLinks:
         numbers = np.full(len(boxes), -1, dtype=np.int32)
         names = {one.followed: i for i, one in self._live.items() if one.followed is not None}
         for here, name in enumerate(followed):
-            # Out of the names, so that of two boxes with one name only the first has the vehicle.
+            # Remove the name, so that of two boxes with one name only the first gets the vehicle.
             if name is not None and (number := names.pop(name, None)) is not None:
                 numbers[here] = number
         chosen = np.ones(len(boxes), dtype=bool) if first is None else np.asarray(first, dtype=bool)
@@ -138,7 +138,7 @@ class BoxLinks:
         return numbers
 
     def _links(self, vehicles: Sequence[int], rectangles: Array, time_s: float) -> list[tuple[int, int]]:
-        """Pairs of vehicle and detection that belong together."""
+        """Return pairs of vehicle and detection that belong together."""
         if not vehicles or not len(rectangles):
             return []
         known = [self._live[i] for i in vehicles]
@@ -154,7 +154,7 @@ class BoxLinks:
 
 
 def size_of(box: Array) -> float:
-    """Square root of a box's area, pixels."""
+    """Return the square root of a box's area, pixels."""
     return float(np.sqrt(np.maximum(1.0, box_math.area(box))))
 
 

@@ -1,6 +1,6 @@
-"""Pictures drawn into the camera's image: its horizon, grid and typical boxes, to judge a camera by; and tracks.
+"""Drawings in the camera's image: horizon, grid and typical boxes to judge a calibration by; and tracks.
 
-Under the right camera lanes have their true width everywhere, and boxes stand on their wheels.
+With a correct camera, lanes have their true width everywhere, and boxes rest on the wheels of vehicles.
 """
 
 import itertools
@@ -30,21 +30,21 @@ from skope.video.footage import FrameRange, open_footage
 
 @dataclass(frozen=True)
 class CameraPictureSettings:
-    """Appearance of the picture of a camera's calibration."""
+    """Appearance of the image that shows a camera's calibration."""
 
     labelled_share: float = 0.05
     """Boxes longer than this share of the image width are labelled. Distant boxes lie close together."""
     line_px: int = 2
-    """Lines of boxes, pixels."""
+    """Line width of boxes, pixels."""
     grid_m: tuple[int, ...] = (1, 2, 5, 10, 20, 50)
-    """Distances of the grid's lines."""
+    """Possible distances between grid lines, metres."""
     grid_lines: int = 12
-    """The grid has about so many lines away from the camera."""
+    """Approximate number of grid lines away from the camera."""
     across_m: float = 5.0
-    """Lines along the way are so far apart at most: a lane and a half."""
+    """Maximum distance between lines along the viewing direction, metres: a lane and a half."""
     farthest_m: float = 150.0
     letters_px: int = 18
-    """Distances are written so far apart at least, pixels."""
+    """Minimum distance between distance labels, pixels."""
     grid_color: tuple[int, int, int] = (255, 255, 255)
     horizon_color: tuple[int, int, int] = (255, 120, 40)
     box_color: tuple[int, int, int] = (90, 235, 120)
@@ -56,20 +56,20 @@ CAMERA_PICTURE_SETTINGS: Final = CameraPictureSettings()
 def overlay_frames(
     tracks: Sequence[Track], folder: Path, file: AnnotationFile, road_users: Sequence[Track] = ()
 ) -> Iterator[Pixels]:
-    """The frames (H, W, 3) that were tracked, with the vehicles and other road users that are seen in them.
+    """Yield the tracked frames (H, W, 3) with the detected vehicles and other road users drawn in them.
 
     Args:
         tracks: The tracks of vehicles.
-        folder: Where the file of frames lies.
-        file: The frames; `info` says where their footage is.
-        road_users: The tracks of others.
+        folder: Folder of the file of frames.
+        file: The frames; `info` names their footage.
+        road_users: The tracks of pedestrians and two-wheelers.
 
     Raises:
-        UserError: The footage is not said, not there any more, or cannot be read.
+        UserError: The file does not name its footage, or the footage is missing or cannot be read.
     """
     source = footage_of(folder, file.info)
     if source is None:
-        raise UserError(f"{file.name}: does not say where its footage is, which --overlay draws into")
+        raise UserError(f"{file.name}: does not name its footage, which --overlay needs to draw into")
     place = {image.frame_index if image.frame_index is not None else i: i for i, image in enumerate(file.images)}
     present: dict[int, list[tuple[Track, int]]] = {}
     everybody: list[Track] = [*tracks, *road_users]
@@ -83,7 +83,7 @@ def overlay_frames(
 
 
 def with_tracks_drawn(pixels: Pixels, present: Sequence[tuple[Track, int]]) -> Pixels:
-    """A copy of a frame (H, W, 3) with the tracks that are seen in it, each with its row there."""
+    """Return a copy of a frame (H, W, 3) with the tracks that are detected in it, each given with its row there."""
     picture = pixels.copy()
     for track, i in present:
         x, y, w, h = track.boxes[i].tolist()
@@ -98,18 +98,18 @@ def with_tracks_drawn(pixels: Pixels, present: Sequence[tuple[Track, int]]) -> P
 
 
 BOX_EDGES: Final = tuple((a, b) for a, b in itertools.combinations(range(8), 2) if bin(a ^ b).count("1") == 1)
-"""Corners of a box that an edge joins; their numbers count in ends, sides and heights."""
+"""Pairs of corners that are joined by an edge of a box. Corners are numbered by end, side and height."""
 
 
 def draw_camera_picture(scene: Scene, folder: Path) -> Pixels | None:
-    """The frame with most vehicles, with what the camera says of it; None where its footage is not said.
+    """Draw the calibration into the frame with most vehicles; None if the file does not name its footage.
 
     Args:
-        scene: What `skope eval predict` found, with the camera and the road.
-        folder: Where its file of frames lies.
+        scene: Results of `skope eval predict`, with the camera and the road.
+        folder: Folder of the file of frames.
 
     Raises:
-        UserError: The footage is not there any more, or cannot be read.
+        UserError: The footage is missing or cannot be read.
     """
     source = footage_of(folder, scene.file.info)
     view = max(scene.views(score=KEPT_SCORE), key=lambda one: int((~one.interpolated).sum()), default=None)
@@ -137,7 +137,7 @@ def _frame(source: Path, view: View) -> Pixels:
 
 
 def _draw_grid(picture: Pixels, camera: Camera) -> None:
-    """Lines on the road every so many metres, along the way that the camera looks and across, and the horizon."""
+    """Draw a grid on the road, along the viewing direction and across it, and the horizon."""
     yaw, _, _ = camera.angles
     ahead = np.array([math.cos(yaw), math.sin(yaw), 0.0])
     left = np.array([-ahead[1], ahead[0], 0.0])

@@ -1,6 +1,6 @@
-"""One road user, one track: of two boxes in one picture, or two tracks in one place, only one is kept.
+"""Remove duplicates of a road user: of two boxes in one image or two tracks at one position, keep one.
 
-Detectors find many a vehicle twice, as its front and as its whole, and a rider as a bicycle, as a motorcycle and as a
+Detectors often find a vehicle twice, as its front and as a whole, and a rider as a bicycle, a motorcycle and a
 pedestrian.
 """
 
@@ -19,27 +19,27 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class DuplicateLimits:
-    """Limits from which two detections or tracks are one road user."""
+    """Limits at which two detections or tracks are one road user."""
 
     inside_share: float = 0.6
-    """Share of the smaller box inside the larger one from which both may be one road user."""
+    """Minimum share of the smaller box inside the larger one at which both may be one road user."""
     foot_sizes: float = 0.35
-    """Largest distance between the feet of both, in sizes of the larger box: its width, or half its height."""
+    """Maximum distance between the feet of both, in sizes of the larger box: its width, or half its height."""
     duplicate_s: float = 0.5
-    """Two tracks at one position for this long are one vehicle, seconds."""
+    """Time at one position after which two tracks are one vehicle, seconds."""
     shadowing_m: float = 2.0
-    """A duplicate within this median distance of the kept track is dropped from its start, metres."""
+    """Maximum median distance to the kept track at which a duplicate is dropped from its start, metres."""
 
 
 DUPLICATE_LIMITS: Final = DuplicateLimits()
 
 
 def inside_and_apart(one: Array, other: Array) -> tuple[Array, Array]:
-    """Share of the smaller of two boxes that lies in the other one, and their distance.
+    """Return the share of the smaller of two boxes inside the larger one, and the distance of both.
 
     Args:
-        one: (N, 4) boxes: x, y, width, height, pixels.
-        other: (N, 4) the others.
+        one: (N, 4) first boxes: x, y, width, height, pixels.
+        other: (N, 4) second boxes.
 
     Returns:
         (N,) shares from 0 to 1, and (N,) distances of the lower edges' middles in sizes of the larger box.
@@ -52,32 +52,32 @@ def inside_and_apart(one: Array, other: Array) -> tuple[Array, Array]:
 
 
 def feet(rectangles: Array) -> Array:
-    """(N, 2) the middles of the lower edges of boxes (N, 4): x, y, width, height."""
+    """Return (N, 2) the middles of the lower edges of boxes (N, 4): x, y, width, height."""
     return np.asarray(rectangles[:, :2] + rectangles[:, 2:] * [0.5, 1.0])
 
 
 def encloses(track: OpenTrack, place: Array, covariance: Array) -> bool:
-    """Whether a place is inside a track's vehicle, give or take a standard deviation.
+    """Return whether a position is inside a track's vehicle, within one standard deviation.
 
     Args:
         track: The track, with a pose.
         place: (2,) world, metres.
-        covariance: (2, 2) of the place, square metres; that of the track's own place is added.
+        covariance: (2, 2) covariance of `place`, square metres; that of the track's own position is added.
     """
     mean, spread = track.state
     return inside_vehicle(track.last_pose, place - mean[:2], covariance + spread[:2, :2])
 
 
 def inside_vehicle(vehicle: PoseMeasurement, away: Array, covariance: Array) -> bool:
-    """Whether a place is inside a vehicle, give or take a standard deviation.
+    """Return whether a position is inside a vehicle, within one standard deviation.
 
-    Far away a standard deviation is more than the way to the next vehicle in a queue or a car park: at most half a
-    width is given to the sides, and a quarter of the length ahead.
+    Far from the camera, a standard deviation can exceed the gap to the next vehicle in a queue or a car park. The
+    margin is therefore limited to half a width at the sides and a quarter of the length ahead and behind.
 
     Args:
         vehicle: Its heading and size.
         away: (2,) world x and y from the vehicle's middle, metres.
-        covariance: (2, 2) of `away`, square metres.
+        covariance: (2, 2) covariance of `away`, square metres.
     """
     x, y = away.tolist()
     (a, b), (_, d) = covariance.tolist()
@@ -90,10 +90,10 @@ def inside_vehicle(vehicle: PoseMeasurement, away: Array, covariance: Array) -> 
 
 
 def give_up_duplicates(live: Sequence[OpenTrack], time_s: float) -> list[OpenTrack]:
-    """The tracks that have been inside another one for so long that both are one vehicle.
+    """Return the tracks that have been inside another track long enough to be duplicates.
 
-    The one with more poses is kept. What was seen of the other since it is inside goes over to the kept track; the
-    other then ends before that.
+    The track with more poses is kept. It takes over the detections that the duplicate has had since it is inside. The
+    duplicate ends before them.
     """
     kept_tracks: list[OpenTrack] = []
     duplicates: list[OpenTrack] = []
@@ -111,7 +111,7 @@ def give_up_duplicates(live: Sequence[OpenTrack], time_s: float) -> list[OpenTra
 
 
 def _hand_over(duplicate: OpenTrack, kept: OpenTrack) -> None:
-    """Give what was seen of `duplicate` since it is inside `kept` to that track, where it was not seen itself."""
+    """Give the detections of `duplicate` since it is inside `kept` to `kept`, in frames in which that one has none."""
     kept_steps = {step.frame: step for step in kept.steps}
     before = [step for step in duplicate.steps if step.time_s < duplicate.surrounded_s]
     apart = [

@@ -1,4 +1,4 @@
-"""Ground points of people on foot and on two wheels: the bottom middle of a box, taken to the road."""
+"""Ground points of pedestrians and two-wheelers: the bottom middle of a box, projected onto the road."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,19 +18,19 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class FootErrors:
-    """Error model of the foot of a box."""
+    """Error model of the bottom middle of a box."""
 
     box_shares: tuple[float, float] = (0.03, 0.06)
     """Standard deviations of the middle of the lower edge, across and up, as shares of a predicted box's longer
     edge. Measured on generated footage by day, at night and in rain."""
     least_px: float = 1.0
-    """Least standard deviation, pixels."""
+    """Minimum standard deviation, pixels."""
     labelled_px: float = 0.5
     """Standard deviation of a labelled box, pixels."""
     edge_px: float = 2.0
-    """A box that ends this close to the image's lower edge is cut there and does not show the feet, pixels."""
+    """Distance to the image's lower edge within which a box is cut and does not show the feet, pixels."""
     largest_sigma_m: float = 5.0
-    """Positions with a larger standard deviation in the worst direction are not used, metres."""
+    """Maximum standard deviation of a used position in its worst direction, metres."""
 
 
 FOOT_ERRORS: Final = FootErrors()
@@ -38,46 +38,46 @@ FOOT_ERRORS: Final = FootErrors()
 
 @dataclass(frozen=True, eq=False, slots=True)
 class GroundPoint:
-    """A place on the road, and how certain it is."""
+    """Position on the road with its covariance."""
 
     place: Array
     """(2,) world x, y, metres."""
     covariance: Array
-    """(2, 2) square metres."""
+    """(2, 2) covariance of the position, square metres."""
     height: float
     """z of the road there, metres."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Sight:
-    """Somebody on foot or on two wheels in one image."""
+    """Pedestrian or two-wheeler in one image."""
 
     category_id: int
-    """Of the surest box."""
+    """Category of the box with the highest score."""
     bbox: Array
     """(4,) x, y, width, height, pixels."""
     score: float
-    """1 where it is labelled."""
+    """Score of the box, 0 to 1; 1 if it is labelled."""
     links: tuple[tuple[int, int], ...]
-    """Category and number: what the sights of one road user share from frame to frame, where it is known."""
+    """Category and number that the detections of one road user share from frame to frame, if known."""
     scores: Mapping[int, float]
     """Confidence in each category."""
     point: GroundPoint | None
-    """Its place on the ground; None where the box does not say: cut, followed from other frames, or too far away."""
+    """Position on the ground; None if the box is cut, followed from other frames, or too far away."""
 
 
 def sights_of(scene: Scene, *, score: float, sigma_px: float | None) -> list[list[Sight]]:
-    """The road users of each image of a scene, found or labelled; boxes of one road user are one sight.
+    """Return the detected or labelled road users of each image; boxes of one road user are merged.
 
-    Without a road there are no places.
+    Without a road they have no positions.
 
     Args:
         scene: Images, results and the road.
-        score: Those that score above this are taken, or those that are labelled and not ignored.
-        sigma_px: Standard deviation of the lower edge's middle, pixels; None: by the box.
+        score: Minimum score of detections. Labels are taken if they are not ignored.
+        sigma_px: Standard deviation of the lower edge's middle, pixels; None: from the size of the box.
 
     Returns:
-        The sights of each image.
+        The road users of each image.
     """
     found: dict[int, list[RoadUser | RoadUserResult]] = {image.id: [] for image in scene.file.images}
     for one in _chosen(scene, score):
@@ -107,7 +107,7 @@ def _in_image(
     for group in _one_each(found, boxes):
         one, point = found[group[0]], points[group[0]]
         shown = point if stand[group[0], 1] < image.height - FOOT_ERRORS.edge_px else None
-        if isinstance(one, RoadUser):  # as with vehicles, labels do not tell who is who
+        if isinstance(one, RoadUser):  # as with vehicles, labels carry no identity from frame to frame
             out.append(Sight(one.category_id, one.bbox, 1.0, (), {one.category_id: 1.0}, shown))
         else:
             same = [two for two in (found[i] for i in group) if isinstance(two, RoadUserResult)]
@@ -121,7 +121,7 @@ def _in_image(
 
 
 def _spread(one: RoadUser | RoadUserResult) -> tuple[float, float]:
-    """Standard deviations of where a box stands, across and up, pixels."""
+    """Return the standard deviations of a box's lower middle, across and up, pixels."""
     if isinstance(one, RoadUser):
         return FOOT_ERRORS.labelled_px, FOOT_ERRORS.labelled_px
     across, up = (max(FOOT_ERRORS.least_px, share * one.bbox[2:].max()) for share in FOOT_ERRORS.box_shares)
@@ -129,7 +129,7 @@ def _spread(one: RoadUser | RoadUserResult) -> tuple[float, float]:
 
 
 def _one_each(found: Sequence[RoadUser | RoadUserResult], boxes: Array) -> list[list[int]]:
-    """Indices of the boxes of each road user, the surest one first; labels are one each."""
+    """Return the indices of the boxes of each road user, highest score first; each label is a road user."""
     groups: list[list[int]] = []
     scores = [one.score if isinstance(one, RoadUserResult) else 1.0 for one in found]
     for i in sorted(range(len(found)), key=lambda i: -scores[i]):
@@ -144,7 +144,7 @@ def _one_each(found: Sequence[RoadUser | RoadUserResult], boxes: Array) -> list[
 
 
 def _wider(point: GroundPoint | None, scene: Scene, image: Image) -> GroundPoint | None:
-    """A place with what the camera's sway leaves uncertain."""
+    """Return a ground point with the residual camera shake added to its covariance."""
     sway, road = scene.sway_in(image), scene.road_in(image)
     if point is None or sway is None or road is None:
         return point
@@ -153,16 +153,16 @@ def _wider(point: GroundPoint | None, scene: Scene, image: Image) -> GroundPoint
 
 
 def ground_points(camera: Camera, ground: Ground, pixels: Array, sigma_px: Array) -> list[GroundPoint | None]:
-    """The places on the road that pixels show.
+    """Return the positions on the road that pixels show.
 
     Args:
-        camera: What took the image.
-        ground: The road: a plane, from which it deviates a little.
-        pixels: (N, 2) of the image.
+        camera: The camera of the image.
+        ground: The road: a plane with small deviations.
+        pixels: (N, 2) pixels of the image.
         sigma_px: (N, 2) standard deviations of the pixels, across and up.
 
     Returns:
-        N places; None where the pixel shows no road, or it is too far away to tell where.
+        N ground points; None if the pixel shows no road or the position is too uncertain.
     """
     places, per_metre = _on_plane(camera, ground, pixels)
     slopes = ground_jacobian(camera, pixels, ground.height, slope=ground.slope, about=ground.about)
@@ -180,9 +180,9 @@ def ground_points(camera: Camera, ground: Ground, pixels: Array, sigma_px: Array
 
 
 def _on_plane(camera: Camera, ground: Ground, pixels: Array) -> tuple[Array, Array]:
-    """(..., 2) where the rays of pixels (..., 2) meet the plane, and how far that moves per metre that it is higher.
+    """Intersect the rays of pixels (..., 2) with the plane; return positions and their shift per metre of height.
 
-    NaN where they do not.
+    Both are (..., 2), metres; NaN where a ray does not meet the plane.
     """
     eye, slope = camera.position, np.array(ground.slope)
     places = intersect_ground(camera, pixels, ground.height, slope=slope, about=ground.about)[..., :2]

@@ -1,4 +1,4 @@
-"""The road as seen from straight above, from the camera's picture, and the picture of the road without its traffic."""
+"""The road from above, computed from the camera's image, and an image of the road without its traffic."""
 
 import math
 from collections.abc import Mapping
@@ -22,37 +22,37 @@ from skope.video.footage import FOUND_AT, FrameRange, open_footage
 
 @dataclass(frozen=True)
 class GroundImage:
-    """How the image of the empty road is made."""
+    """Settings of the image of the empty road."""
 
     frames: int = 25
-    """Number of frames."""
+    """Number of frames that are combined."""
     seconds: float = 120.0
-    """Part of the footage from which they are taken, seconds. Reading hours would take minutes."""
+    """Duration of the footage from which they are taken, seconds. Reading hours would take minutes."""
     rounding_s: float = 0.01
     """Rounding of the frame times in files, seconds."""
     contrast_share: float = 0.62
-    """Share of the image's contrast that remains, so that drawings stand out."""
+    """Share of the image's contrast that is kept, so that drawings stand out."""
     fading_m: tuple[float, float] = (0.6, 2.5)
-    """Size of a pixel on the road up to which it is shown in full, and from which it is not shown, metres."""
+    """Size of a pixel on the road up to which it is fully shown, and from which it is not shown, metres."""
 
 
 GROUND_IMAGE: Final = GroundImage()
 
 
 def empty_road(folder: Path, file: AnnotationFile) -> Pixels | None:
-    """(H, W, 3) the median of frames of the footage: vehicles that drive are gone, those that stand remain.
+    """Return the median (H, W, 3) of frames of the footage: moving vehicles vanish, stationary ones remain.
 
-    Frames are taken of the view that the first image shows.
+    Only frames with the view of the first image are used.
 
     Args:
-        folder: Where the file of frames lies.
-        file: The frames; `info` says where their footage is.
+        folder: Folder of the file of frames.
+        file: The frames; `info` names their footage.
 
     Returns:
-        The picture; None where the file does not say where its footage is.
+        The image; None if the file does not name its footage.
 
     Raises:
-        UserError: The footage is not there any more, or cannot be read.
+        UserError: The footage is missing or cannot be read.
     """
     source = footage_of(folder, file.info)
     if source is None:
@@ -68,7 +68,7 @@ def empty_road(folder: Path, file: AnnotationFile) -> Pixels | None:
 
 
 def footage_of(folder: Path, info: Mapping[str, Any]) -> Path | None:
-    """The video or the images as `skope eval predict` names them in its file of frames, or `skope gen video` in its."""
+    """Return the video or image folder that a file of frames of `skope eval predict` or `skope gen video` names."""
     if isinstance(found_at := info.get(FOUND_AT), str):
         return folder / found_at
     video = info.get("video")
@@ -77,7 +77,7 @@ def footage_of(folder: Path, info: Mapping[str, Any]) -> Path | None:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GroundView:
-    """A rectangle of the road, north up, in square cells, as one camera sees it."""
+    """Rectangle of the road, north up, in square cells, as one camera shows it."""
 
     camera: Camera
     ground: Ground
@@ -90,7 +90,7 @@ class GroundView:
 
     @cached_property
     def _points(self) -> Array:
-        """(H, W, 3) the middles of the cells on the road, the northernmost row first."""
+        """(H, W, 3) middles of the cells on the road, northernmost row first."""
         across, up = (np.maximum(1, np.rint((self.high - self.low) / self.cell_m))).astype(int)
         x = self.low[0] + (np.arange(across) + 0.5) * self.cell_m
         y = self.high[1] - (np.arange(up) + 0.5) * self.cell_m
@@ -100,18 +100,18 @@ class GroundView:
 
     @cached_property
     def pixels(self) -> Array:
-        """(H, W, 2) pixels of the camera's image that show the cells; NaN behind the camera."""
+        """(H, W, 2) pixels of the camera's image for the cells; NaN behind the camera."""
         return self.camera.project(self._points)[0]
 
     @cached_property
     def seen(self) -> NDArray[np.bool_]:
-        """(H, W) which cells lie in the camera's field of view."""
+        """(H, W) whether the cells lie in the camera's field of view."""
         return self.camera.inside(self.pixels)
 
     def pale(self, picture: Pixels) -> Pixels:
-        """(H, W, 3) the camera's `picture`, of its size, from above in pale grey; white where it shows no road.
+        """Return (H, W, 3) the camera's `picture` from above in pale grey; white where it shows no road.
 
-        It grows paler with the distance, where one of its pixels covers metres of road.
+        It becomes paler with distance, where one of its pixels covers metres of road.
         """
         at = (np.nan_to_num(self.pixels, nan=-1e4) - 0.5).clip(-1e4, 1e4).astype(np.float32)
         grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
@@ -122,7 +122,7 @@ class GroundView:
         return np.repeat(shown[..., None], 3, axis=-1)
 
     def _metres_a_pixel(self) -> Array:
-        """(H, W) length of the road along the line of sight that one pixel covers, roughly."""
+        """(H, W) approximate length of road along the viewing ray that one pixel covers, metres."""
         eye = self.camera.position
         away = self._points - eye
         distance = np.linalg.norm(away, axis=-1)

@@ -1,10 +1,10 @@
-"""Headings of a vehicle through time, and the error that a road user's own height gives its positions.
+"""Headings of a vehicle over time, and the position error from a road user's height above the road.
 
 A body turns no faster than a vehicle can, and one of its ends is the front.
 
-A vehicle stands above or below the plane that the road is taken for, on its whole path. From a camera of height H over
-the road it seems nearer or farther by (distance / H) metres per metre of that. The filter takes errors of poses for
-independent and does not know this one.
+A vehicle may be above or below the assumed plane of the road on its whole path. For a camera at height H over the road,
+each metre of this offset shifts the position by (distance / H) metres along the viewing ray. The filter assumes
+independent errors of poses and does not include this one.
 """
 
 import math
@@ -23,26 +23,26 @@ class HeadingModel:
     """Noise model of headings."""
 
     lowest_camera_m: float = 1.0
-    """Least height of a camera over the road, metres."""
+    """Minimum height of a camera over the road, metres. Lower cameras are taken to be this high."""
     memory_s: float = 1.5
-    """Time constant of a rate of turn, seconds."""
+    """Time constant of the rate of turn, seconds."""
     moving_mps: float = 1.5
-    """Speed from which the direction of travel gives the heading, m/s."""
+    """Speed above which the direction of travel gives the heading, m/s."""
     turn_change: float = 0.35
     """Change of a driving vehicle's rate of turn per second, rad/s."""
     turning_mps: float = 5.0
-    """Speed from which `turn_change` holds, m/s. It falls in proportion below."""
+    """Speed at and above which `turn_change` holds, m/s. Below, it falls in proportion."""
     least_sigma_rad: float = math.radians(0.5)
-    """Least standard deviation of a measured heading, radians."""
+    """Minimum standard deviation of a measured heading, radians."""
     outlier_variances: float = 9.0
-    """Squared distance, in variances, from which a heading gets less weight."""
+    """Squared distance, in variances, above which a heading gets less weight."""
 
 
 HEADING_MODEL: Final = HeadingModel()
 
 
 def with_body_error(track: Track, camera_position: Array, height_sigma_m: float) -> Track:
-    """The track with the error of its height over the road, along the line of sight, added to its `body_error`.
+    """Add the error of the height over the road, along the viewing ray, to the `body_error` of a track.
 
     Args:
         track: The track.
@@ -53,7 +53,7 @@ def with_body_error(track: Track, camera_position: Array, height_sigma_m: float)
     distance = np.maximum(np.linalg.norm(line, axis=1), 1e-9)
     height = np.maximum(HEADING_MODEL.lowest_camera_m, camera_position[2] - track.position[:, 2])
     ray = line / distance[:, None]
-    # What seems farther by a share of the distance seems faster by that share, along the line of sight.
+    # A relative error of the distance is the same relative error of the speed along the viewing ray.
     towards = np.einsum("mi,mi->m", track.velocity, ray) ** 2 / np.maximum(track.speed, 1e-9)
     return replace(
         track,
@@ -63,19 +63,19 @@ def with_body_error(track: Track, camera_position: Array, height_sigma_m: float)
 
 
 def smoothed_headings(times_s: Array, measured: Array, sigma: Array, velocity: Array) -> Array:
-    """Headings of a vehicle through M frames, smoothed, with its front where it drives to.
+    """Smooth the headings of a vehicle over M frames and turn them to the direction of travel.
 
     Args:
-        times_s: (M,) seconds.
-        measured: (M,) measured headings, radians; NaN where none was seen.
+        times_s: (M,) times, seconds.
+        measured: (M,) measured headings, radians; NaN if not measured.
         sigma: (M,) their standard deviations, radians.
-        velocity: (M, 2) smoothed, m/s.
+        velocity: (M, 2) smoothed velocities, m/s.
 
     Returns:
         (M,) headings, radians, counter-clockwise from world x.
 
-    Vehicles drive forwards. One that stands keeps the sense that it has when it moves next, or moved last; one that
-    never moves that of most of its poses.
+    Vehicles are assumed to drive forwards. A stationary vehicle keeps the direction of its nearest motion in time. A
+    vehicle that never moves has the direction of most of its poses.
     """
     seen = np.isfinite(measured)
     unit = np.where(seen, np.exp(1j * np.where(seen, measured, 0.0)), 0)
@@ -91,10 +91,11 @@ def smoothed_headings(times_s: Array, measured: Array, sigma: Array, velocity: A
 
 
 def _turning(times_s: Array, measured: Array, sigma: Array, speed: Array) -> Array:
-    """(M,) headings, smoothed as of a body whose turning changes slowly, and only while it moves.
+    """Return (M,) smoothed headings of a body with a slowly changing rate of turn, and only while it moves.
 
-    A Kalman filter and Rauch, Tung and Striebel's smoother, whose state is the heading and the rate of turn, which
-    fades as accelerations do. Headings may be NaN, but for one; before the first one that is known it is taken for all.
+    This is a Kalman filter with Rauch, Tung and Striebel's smoother. The state is the heading and the rate of turn,
+    which decays like the accelerations. At least one heading must not be NaN; the first known one also starts the
+    filter.
     """
     # Forwards: predict and update. A covariance ((a, b), (b, c)) is kept as (a, b, c).
     ahead, after, moves = [], [], []
@@ -119,12 +120,12 @@ def _turning(times_s: Array, measured: Array, sigma: Array, speed: Array) -> Arr
             (h, w), (a, b, c) = mean, spread
             off = (z - h + math.pi) % (2 * math.pi) - math.pi
             noise = error**2 + HEADING_MODEL.least_sigma_rad**2
-            noise *= max(1.0, off**2 / (HEADING_MODEL.outlier_variances * (a + noise)))  # what is far off pulls less
+            noise *= max(1.0, off**2 / (HEADING_MODEL.outlier_variances * (a + noise)))  # outliers get less weight
             gain, turn = a / (a + noise), b / (a + noise)
             mean = (h + gain * off, w + turn * off)
             spread = (a * (1 - gain), b * (1 - gain), c - turn * b)
         after.append((mean, spread))
-    # Backwards: what came later corrects what came before.
+    # Backwards: later frames correct earlier ones.
     out = [after[-1][0]]
     for k in range(len(after) - 2, -1, -1):
         (h, w), (a, b, c) = after[k]
@@ -141,7 +142,7 @@ def _turning(times_s: Array, measured: Array, sigma: Array, speed: Array) -> Arr
 
 
 def _nearest(chosen: NDArray[np.intp], count: int) -> NDArray[np.intp]:
-    """(count,) for each index the nearest of the rising indices `chosen`; of two the earlier."""
+    """Return (count,) the nearest of the rising indices `chosen` for each index; of two, the earlier."""
     index = np.arange(count)
     after = np.minimum(np.searchsorted(chosen, index), len(chosen) - 1)
     before = np.maximum(after - 1, 0)
@@ -150,5 +151,5 @@ def _nearest(chosen: NDArray[np.intp], count: int) -> NDArray[np.intp]:
 
 
 def _sense(unit: NDArray[np.complex128], reference: NDArray[np.complex128] | complex) -> Array:
-    """1 where directions agree with the reference to 90 degrees, else -1."""
+    """Return 1 where directions agree with the reference to within 90 degrees, else -1."""
     return np.where(np.real(unit * np.conj(reference)) < 0, -1.0, 1.0)

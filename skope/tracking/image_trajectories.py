@@ -1,5 +1,5 @@
-"""Trajectories in pixels of what `skope eval predict` has followed through a video: for counts where no camera gives
-metres."""
+"""Read trajectories in pixels from the numbered boxes of `skope eval predict`, for counts without a calibrated
+camera."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -31,17 +31,17 @@ class ImageTrackLimits:
     foot_sigma_share: float = 0.03
     """Standard deviation of the middle of the lower edge, as a share of the box's longer edge, at least a pixel."""
     fewest_boxes: int = 3
-    """Smallest number of boxes of a track that counts."""
+    """Minimum number of boxes of a counted track."""
     shortest_s: float = 0.4
-    """Shortest duration of a track that counts, seconds."""
+    """Minimum duration of a counted track, seconds."""
     together_share: float = 0.5
-    """Two tracks are one road user if this share of the shorter one lies in the other."""
+    """Minimum share of the shorter of two tracks that lies in the longer one if both are one road user."""
     least_visible: float = 0.9
-    """Share of each gate that a view must show to count as observed."""
+    """Minimum share of each gate that a view must show to count as observed."""
     gate_points: int = 200
     """Number of points on a gate that are projected."""
     moving_s: float = 1.0
-    """After a change of view whose end is not known, the camera is taken to move for this long, seconds."""
+    """Duration of a change of view if its end is not known, seconds."""
     drift_sizes: float = 0.3
     """Largest change of the distance between the feet of two boxes of one road user, in sizes of the larger one."""
 
@@ -49,25 +49,25 @@ class ImageTrackLimits:
 IMAGE_TRACKS: Final = ImageTrackLimits()
 
 MotRow = tuple[float, float, float, float, float]
-"""Time (s), column and row of the middle of a box's lower edge, and the box's width and height, pixels."""
+"""Time in seconds, column and row of the middle of a box's lower edge, and the box's width and height, pixels."""
 
 
 def read_image_trajectories(folder: Path, gates: Sequence[Gate] = ()) -> tuple[list[Track], Observation, list[str]]:
-    """Read the ways of boxes through a video, by the numbers that they have, as they lie in its first view.
+    """Read the numbered boxes of a video as tracks in its first view.
 
-    Places are columns and negative rows, so that left and right of a line are what they are on the screen. After the
-    camera has been moved, places are taken back to the first view where it is known how. Other frames, and those of
-    the movement itself, are not observed.
+    Positions are columns and negative rows, so that left and right of a line are as on the screen. If the camera was
+    moved, positions are transformed to the first view if the transformation is known. Otherwise their frames, and
+    those during the movement, are not observed.
 
     Args:
-        folder: What `skope eval predict` has written.
+        folder: Output folder of `skope eval predict`.
         gates: The gates with `pixels` in the first view. A view that does not show all of them is not observed.
 
     Returns:
         The tracks, the times that were observed, and a sentence for each time that the camera was moved.
 
     Raises:
-        UserError: A file is missing or wrong, the images have no times, or what was found has no numbers.
+        UserError: A file is missing or invalid, the images have no times, or the detections have no numbers.
     """
     file = coco.read(folder / FRAMES_FILE)
     views, notes = _followed_views(file, gates)
@@ -104,7 +104,7 @@ def read_image_trajectories(folder: Path, gates: Sequence[Gate] = ()) -> tuple[l
 
 
 def _followed_views(file: AnnotationFile, gates: Sequence[Gate]) -> tuple[list[KnownView], list[str]]:
-    """The views, without the homography of those that do not show all gates, and sentences on those that follow."""
+    """Return the views, without the homography of those that do not show all gates, and one sentence per later view."""
     views, notes = read_views(file.name, file.info), list[str]()
     size = (file.images[0].width, file.images[0].height) if file.images else (1, 1)
     for k, view in enumerate(views[1:], start=1):
@@ -130,16 +130,16 @@ def _followed_views(file: AnnotationFile, gates: Sequence[Gate]) -> tuple[list[K
 
 
 def _visible_share(line: Array, matrix: Array, size: tuple[int, int]) -> float:
-    """Share of a line (2, 2) in the image of the first view that another view shows too; 1 where it is not in it."""
+    """Return the share of a line (2, 2) in the first view's image that a second view shows; 1 if outside the first."""
     along = np.linspace(line[0], line[1], IMAGE_TRACKS.gate_points)
     along = along[is_inside(along, size)]
     return float(is_inside(transformed(matrix, along), size).mean()) if len(along) else 1.0
 
 
 def _in_first_view(rows: list[tuple[int, MotRow]], views: Sequence[KnownView]) -> Array:
-    """(M, 5) rows of time, column and negative row of the foot, width and height of the box, in the first view.
+    """Return (M, 5) time, column and negative row of the foot, and width and height of the box, in the first view.
 
-    Each row comes with the number of the view that it was seen in.
+    Each input row comes with the number of its view.
     """
     numbers, values = np.array([number for number, _ in rows]), np.array([row for _, row in rows])
     for number in np.unique(numbers):
@@ -156,9 +156,9 @@ def _in_first_view(rows: list[tuple[int, MotRow]], views: Sequence[KnownView]) -
 
 
 def _without_doubles(tracks: list[tuple[int, Array]]) -> list[tuple[int, Array]]:
-    """Tracks of categories and rows (M, 5), those left out that follow somebody whom a longer one follows too.
+    """Return tracks, as category and rows (M, 5), without those that follow the road user of a longer track.
 
-    Detectors see many a vehicle twice, as its front and as its whole, say.
+    Detectors often find a vehicle twice, for example as its front and as a whole.
     """
     kept: list[tuple[int, Array]] = []
     for category_id, rows in sorted(tracks, key=lambda track: -len(track[1])):
@@ -184,13 +184,13 @@ def _is_double(rows: Array, longer: Array) -> bool:
 
 
 def _boxes(rows: Array) -> Array:
-    """(M, 4) x, y, width, height of rows (M, 5), which have the middle of the lower edge, upwards, and the sizes."""
+    """Return (M, 4) x, y, width, height of rows (M, 5)."""
     _, middle, below, width, height = rows.T
     return np.stack([middle - width / 2, -below - height, width, height], axis=1)
 
 
 def _trajectory(number: int, category_id: int, rows: Array) -> Track:
-    """Of rows (M, 5): seconds, place, width and height of the box."""
+    """Return a track of rows (M, 5): seconds, position, width and height of the box."""
     times, place = rows[:, 0], rows[:, 1:3]
     velocity = np.gradient(place, times, axis=0) if len(times) > 1 else np.zeros_like(place)
     sigma = np.maximum(1.0, IMAGE_TRACKS.foot_sigma_share * rows[:, 3:].max(axis=1))

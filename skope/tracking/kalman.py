@@ -1,4 +1,4 @@
-"""A Kalman filter of a vehicle's motion on the road from its poses, and the smoother for when all is known.
+"""Kalman filter of a vehicle's motion on the road from its poses, and the smoother over all frames.
 
 The state is x, y, vx, vy, ax, ay: position (metres, world), velocity (m/s) and a slowly changing acceleration (m/s^2).
 Prediction is Singer's model, smoothing is Rauch, Tung and Striebel's.
@@ -23,7 +23,7 @@ class KalmanSettings:
     """Noise model of the Kalman filter."""
 
     gate_variances: float = 16.0
-    """Squared Mahalanobis distance from which a measurement is not assigned to a track."""
+    """Squared Mahalanobis distance at and above which a measurement is not assigned to a track."""
     jerk_density: float = 1.0
     """Spectral density of the change of acceleration, m^2 / s^5. The value allows hard braking within one or two
     seconds."""
@@ -46,7 +46,7 @@ KALMAN_SETTINGS: Final = KalmanSettings()
 
 
 def first_state(pose: PoseMeasurement) -> State:
-    """State of a vehicle of which this pose is the first: it may stand, or drive where it heads or back."""
+    """Return the state of a vehicle after its first pose: it may be still, or drive forwards or backwards."""
     mean = np.array([*pose.place, 0, 0, 0, 0], dtype=np.float64)
     spread = np.zeros((6, 6))
     spread[:2, :2] = pose.covariance
@@ -58,11 +58,11 @@ def first_state(pose: PoseMeasurement) -> State:
 
 
 def first_state_at(place: Array, covariance: Array, speed_sigma: float) -> State:
-    """State of somebody who is seen for the first time and may go anywhere.
+    """Return the state of a road user after its first detection, with any direction of travel.
 
     Args:
         place: (2,) world x, y, metres.
-        covariance: (2, 2) of the place, square metres.
+        covariance: (2, 2) covariance of the position, square metres.
         speed_sigma: Standard deviation of the speed in any direction, m/s.
     """
     spread = np.zeros((6, 6))
@@ -73,10 +73,10 @@ def first_state_at(place: Array, covariance: Array, speed_sigma: float) -> State
 
 
 def motion(dt: float) -> tuple[Array, Array]:
-    """Transition and noise, (6, 6) each, of `dt` seconds of Singer's model (IEEE Trans. AES, 1970).
+    """Return the transition and noise, (6, 6) each, of `dt` seconds of Singer's model (IEEE Trans. AES, 1970).
 
-    Acceleration fades away, so that what is unseen rolls on. The noise is that of constant acceleration (Bar-Shalom et
-    al. 2001, section 6.2.3), the model's own for short steps.
+    The acceleration decays, so that an undetected vehicle continues at constant speed. The noise is that of constant
+    acceleration (Bar-Shalom et al. 2001, section 6.2.3), which equals the model's noise for short steps.
     """
     fade = math.exp(-dt / KALMAN_SETTINGS.memory_s)
     to_speed = KALMAN_SETTINGS.memory_s * (1 - fade)
@@ -84,53 +84,53 @@ def motion(dt: float) -> tuple[Array, Array]:
     Q1 = KALMAN_SETTINGS.jerk_density * np.array(
         [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
     )
-    both = np.eye(2)  # x and y move alike
+    both = np.eye(2)  # x and y move independently by the same model
     return np.asarray(np.kron(F1, both)), np.asarray(np.kron(Q1, both), dtype=np.float64)
 
 
 def predicted_state(state: State, F: Array, Q: Array) -> State:
-    """A state after one step of `motion`, before anything is measured.
+    """Return a state after one step of `motion`, before any measurement.
 
     Args:
         state: Mean (6,) and covariance (6, 6).
         F: (6, 6) transition.
-        Q: (6, 6) covariance of what is added in the step.
+        Q: (6, 6) covariance of the process noise of the step.
     """
     mean, spread = state
     return F @ mean, F @ spread @ F.T + Q
 
 
 def before(state: State, dt: float) -> State:
-    """The state `dt` seconds earlier: the model is the same for who drives backwards in time."""
+    """Return the state `dt` seconds earlier. The model is symmetric in time."""
     back = np.diag([1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
     mean, spread = predicted_state((back @ state[0], back @ state[1] @ back), *motion(dt))
     return back @ mean, back @ spread @ back
 
 
 def updated(state: State, pose: PoseMeasurement) -> State:
-    """A state that has taken in a pose: its place, and the direction in which wheels let the vehicle move."""
+    """Return a state updated with a pose: its position, and the direction in which the wheels roll."""
     return _rolling(*updated_at(state, pose.place, pose.covariance), pose)
 
 
 def updated_at(state: State, place: Array, covariance: Array) -> State:
-    """A state that has taken in a place.
+    """Return a state updated with a position.
 
     Args:
         state: Mean (6,) and covariance (6, 6).
         place: (2,) world x, y, metres.
-        covariance: (2, 2) of the place, square metres.
+        covariance: (2, 2) covariance of the position, square metres.
     """
     mean, spread = state
     gain = np.linalg.solve(spread[:2, :2] + covariance, spread[:2]).T
     kept = np.eye(len(mean))
     kept[:, :2] -= gain
-    # Joseph's form stays symmetric and positive over any number of steps.
+    # Joseph's form stays symmetric and positive definite over any number of steps.
     after = kept @ spread @ kept.T + gain @ covariance @ gain.T
     return mean + gain @ (place - mean[:2]), after
 
 
 def _rolling(mean: Array, spread: Array, pose: PoseMeasurement) -> State:
-    """A state that knows that wheels roll where the vehicle heads, or back: it hardly slides to its side."""
+    """Return a state updated with the constraint that wheels roll along the heading, with little lateral slip."""
     aside = np.array([0, 0, -math.sin(pose.heading), math.cos(pose.heading), 0, 0])
     speed = float(np.linalg.norm(mean[2:4]))
     slides = float(aside @ mean)
@@ -147,10 +147,10 @@ def _rolling(mean: Array, spread: Array, pose: PoseMeasurement) -> State:
 def smoothed(
     transitions: Sequence[Array], predictions: Sequence[State], filtered: Sequence[State]
 ) -> tuple[Array, Array]:
-    """States of M frames, each of which knows what came later (Rauch, Tung and Striebel, 1965).
+    """Return smoothed states of M frames, which use later measurements too (Rauch, Tung and Striebel, 1965).
 
     Args:
-        transitions: (6, 6) each, to each frame from the one before; the first is not used.
+        transitions: (6, 6) each, from the previous frame to each frame; the first is not used.
         predictions: States before each frame's measurement; the first is not used.
         filtered: States after each frame's measurement.
 
@@ -168,13 +168,13 @@ def smoothed(
 
 
 def position_and_speed_errors(means: Array, spreads: Array) -> tuple[Array, Array]:
-    """Covariances (M, 2, 2) of the positions of M states, square metres, and standard deviations (M,) of their speeds.
+    """Return position covariances (M, 2, 2), square metres, and speed standard deviations (M,), m/s, of M states.
 
-    Smoothing leaves tiny variances, which rounding may take below 0: they are raised to 0.
+    Rounding can make tiny variances negative; these are raised to 0.
 
     Args:
         means: (M, 6) states.
-        spreads: (M, 6, 6) their covariances.
+        spreads: (M, 6, 6) covariances of the states.
     """
     variances, axes = np.linalg.eigh(spreads[:, :2, :2])
     position = np.einsum("mik,mk,mjk->mij", axes, np.maximum(0.0, variances), axes)

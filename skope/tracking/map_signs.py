@@ -1,4 +1,4 @@
-"""Signs on a map of tracks: the camera, labels that lie on nothing, a scale bar, the colours' meaning."""
+"""Signs on a map of tracks: the camera, labels without overlap, a scale bar and the colour scale."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,7 +30,7 @@ class MapSymbols:
     outline: tuple[tuple[float, float], ...] = ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))
     """Corners of a vehicle, in halves of its length and width."""
     driving_mps: float = 0.5
-    """Speed from which a vehicle drives, m/s."""
+    """Minimum speed at which a vehicle is labelled with its speed, m/s."""
     bars_m: tuple[int, ...] = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
     """Lengths of the scale bar, metres."""
 
@@ -42,12 +42,12 @@ ROAD_USERS: Final = {"bicycle": "#00796b", "motorcycle": "#e65100", "pedestrian"
 
 
 def unit_m(axes: "Axes") -> float:
-    """A hundredth of the map's width, metres: what signs are measured in."""
+    """Return a hundredth of the map's width, metres: the unit of length for signs."""
     return float(np.diff(axes.get_xlim())[0]) / 100
 
 
 def vehicle_points(track: Track, i: int, shape: Sequence[tuple[float, float]]) -> list[Array]:
-    """Places of points on a vehicle.
+    """Return the positions of points on a vehicle.
 
     Args:
         track: The vehicle's track.
@@ -65,7 +65,7 @@ def vehicle_points(track: Track, i: int, shape: Sequence[tuple[float, float]]) -
 
 
 def draw_camera(axes: "Axes", camera: Camera) -> "Bbox":
-    """Draw the camera and its view; returns where that is in the picture, in pixels."""
+    """Draw the camera and its field of view; return their bounding box, pixels of the figure."""
     from matplotlib.patches import Polygon, Wedge
     from matplotlib.patheffects import withStroke
 
@@ -75,7 +75,7 @@ def draw_camera(axes: "Axes", camera: Camera) -> "Bbox":
     axes.add_patch(Wedge(place.tolist(), 6 * unit, *edges, facecolor=CAMERA_COLOR, alpha=0.3, zorder=4))
     ahead = np.array([math.cos(yaw), math.sin(yaw)])
     across = np.array([-ahead[1], ahead[0]])
-    # A box, and before it the lens, which widens.
+    # A box with the widening lens in front of it.
     side = [(-1.6, 0.8), (0.2, 0.8), (0.2, 0.35), (1.1, 0.8)]
     shape = side + [(a, -b) for a, b in reversed(side)]
     body = [place + unit * (a * ahead + b * across) for a, b in shape]
@@ -104,15 +104,15 @@ def draw_labels(
     present: Mapping[int, int],
     taken: Sequence["Bbox"],
 ) -> None:
-    """Write the numbers of tracks, with the speed of vehicles that are drawn and drive.
+    """Write the numbers of tracks, with the speed of vehicles that are drawn and move.
 
-    No label lies on another one, on a vehicle or on a box that is taken. It takes the place where it hides least of the
-    ways driven; what finds no place near its vehicle is left out: tracks.csv has them all.
+    A label overlaps no other label, no vehicle and no taken box. It is placed where it hides least of the paths. A
+    label without a free place near its vehicle is left out; tracks.csv has all numbers.
 
     Args:
         axes: The map.
-        tracks: All tracks that are drawn; labels keep off their ways.
-        labelled: Those that get a label.
+        tracks: All tracks that are drawn; labels avoid their paths.
+        labelled: The tracks that get a label.
         present: Number of a track -> its row at the moment of the map, for vehicles that are drawn.
         taken: Boxes that are not free, pixels of the figure.
     """
@@ -150,7 +150,7 @@ def draw_labels(
 
 
 def label(track: Track, i: int) -> str:
-    """A track's number and, if it moves, its speed in its i-th frame with the 90% interval."""
+    """Return a track's number and, if it moves, its speed in its i-th frame with the 90% interval."""
     if track.speed[i] <= MAP_SYMBOLS.driving_mps:
         return f"#{track.number}"
     speed, error = track.speed[i] * KMH_PER_MPS, INTERVAL_SIGMAS * track.speed_sigma[i] * KMH_PER_MPS
@@ -158,7 +158,7 @@ def label(track: Track, i: int) -> str:
 
 
 def _around(anchor: Array, half: Array) -> Iterator[Array]:
-    """Places for the middle of a label of half size (2,) around a point, the nearest first; pixels."""
+    """Yield candidate centres of a label of half size (2,) around a point, nearest first; pixels."""
     for distance in (14, 26, 40, 56, 75):
         for angle in np.radians((45, 135, -45, -135, 90, -90, 0, 180)):
             towards = np.array([np.cos(angle), np.sin(angle)])
@@ -166,7 +166,7 @@ def _around(anchor: Array, half: Array) -> Iterator[Array]:
 
 
 def draw_frame(axes: "Axes") -> None:
-    """Coordinates along the edge, as tracks.csv has them."""
+    """Draw world coordinates along the edge, as in tracks.csv."""
     axes.tick_params(colors=FAINT_COLOR, labelsize=7, length=3, width=0.6)
     for spine in axes.spines.values():
         spine.set(edgecolor=FAINT_COLOR, linewidth=0.6)
@@ -179,11 +179,11 @@ def draw_key(axes: "Axes", tracks: Sequence[Track], camera: Camera) -> "Bbox":
 
     Args:
         axes: The map, in metres.
-        tracks: What is drawn: the bar keeps off their places.
-        camera: And off the camera's.
+        tracks: Drawn tracks; the bar avoids their positions.
+        camera: The camera; the bar avoids its position.
 
     Returns:
-        The box that it takes, pixels of the figure.
+        The box that the bar occupies, pixels of the figure.
     """
     from matplotlib.patches import FancyBboxPatch
 
@@ -223,7 +223,7 @@ def draw_key(axes: "Axes", tracks: Sequence[Track], camera: Camera) -> "Bbox":
 
 
 def _box_around(points: ArrayLike) -> "Bbox":
-    """The upright box around points (N, 2)."""
+    """Return the upright bounding box of points (N, 2)."""
     from matplotlib.transforms import Bbox
 
     return Bbox.from_extents(*np.min(points, axis=0), *np.max(points, axis=0))
@@ -233,13 +233,13 @@ def draw_scale(axes: "Axes", colors: "Colormap", norm: "Normalize") -> None:
     """Draw the scale of colours for speeds in km/h.
 
     Args:
-        axes: Where it is drawn; it is filled.
+        axes: The axes to fill.
         colors: Colours of speeds.
-        norm: Speeds, km/h, that the colours begin and end at.
+        norm: Range of speeds of the colours, km/h.
     """
     from matplotlib.cm import ScalarMappable
 
-    axes.figure.colorbar(ScalarMappable(norm, colors), cax=axes, extend="max")  # some may drive faster
+    axes.figure.colorbar(ScalarMappable(norm, colors), cax=axes, extend="max")  # speeds above the range may occur
     axes.set_title("km/h", fontsize=9, color=INK_COLOR, pad=6)
     axes.tick_params(colors=INK_COLOR, labelsize=9, length=3, width=0.6)
     for spine in axes.spines.values():

@@ -1,9 +1,9 @@
-"""People on foot and on two wheels followed over the road by the places where they stand.
+"""Track pedestrians and two-wheelers by their positions on the road.
 
-They have no pose: a place is that of their box's lower edge, a heading that in which they move. A sight joins the track
-that shares its number (what `skope eval predict` has followed from frame to frame), or else the nearest one in
-variances, as each moves by the filter that vehicles move by. A detector that takes a rider for a cyclist now and for
-somebody on foot then still sees one: a track is of the category that its sights are most surely.
+They have no pose: the position is that of the box's lower edge, the heading is the direction of motion. A detection
+joins the track that shares its number (from `skope eval predict`), or else the nearest track in variances. The motion
+model is the filter for vehicles. A detector may take a rider for a cyclist in one frame and for a pedestrian in the
+next. A track therefore joins detections of any category and has the category with the highest summed confidence.
 """
 
 from collections import Counter
@@ -34,40 +34,41 @@ class FootTrackLimits:
     """Limits and noise of tracks of pedestrians and two-wheelers."""
 
     slack_m: float = 0.3
-    """Added to the standard deviation of each prediction when detections are assigned, metres."""
+    """Standard deviation added to each prediction when detections are assigned, metres."""
     lost_s: float = 1.0
-    """A track ends when its road user was not detected for this long, seconds."""
+    """Time without a detection after which a track ends, seconds."""
     lag_s: float = 20.0
-    """Detections older than this are final, seconds."""
+    """Age above which detections are final, seconds."""
     link_variances: float = 36.0
-    """A detection with a track's number joins it within this squared distance, in variances. Numbers jump between
-    pedestrians who meet."""
+    """Maximum squared distance, in variances, at which a detection with a track's number joins it. Numbers may jump
+    between pedestrians who meet."""
     foot_mps: float = 4.0
-    """Median speed above which a road user is on wheels, whatever the boxes say, m/s."""
+    """Median speed above which a road user is a two-wheeler, regardless of the boxes, m/s."""
     other_category_cost: float = 4.0
-    """Added to the squared distance, in variances, of a detection of another category than the track's."""
+    """Squared distance, in variances, added for a detection of another category than the track's."""
     fewest_positions: int = 3
-    """Smallest number of positions of a track."""
+    """Minimum number of positions of a track."""
     shortest_s: float = 0.4
-    """Shortest duration of a track, seconds."""
+    """Minimum duration of a track, seconds."""
     half_wheelbase_m: float = 0.6
-    """Distance from the middle of a two-wheeler to the wheel on which its box stands if it comes or goes, metres."""
+    """Distance from the middle of a two-wheeler to the wheel at the lower edge of its box, seen from the front or
+    back, metres."""
     moving_sigmas: float = 2.0
-    """A road user has a heading if its speed is this many standard deviations, and `least_speed_mps`."""
+    """Minimum speed with a heading, in standard deviations of the speed. `least_speed_mps` must be reached, too."""
     least_speed_mps: float = 0.5
-    """Least speed with a heading, m/s."""
+    """Minimum speed with a heading, m/s."""
 
 
 FOOT_TRACKS: Final = FootTrackLimits()
 
 _ON_WHEELS: Final = (CATEGORY_NAMES.index("bicycle") + 1, CATEGORY_NAMES.index("motorcycle") + 1)
 _HEIGHTS_M: Final = {"bicycle": 0.06, "motorcycle": 0.06, "pedestrian": 0.1}
-"""Standard deviation of the height over the road at which boxes end all the way: a kerb is 10 to 15 cm high, and a box
-that ends too low by 3% of its height does so in frame after frame."""
+"""Standard deviation of the height over the road of the lower edge of boxes, constant over a track, metres. A kerb is
+10 to 15 cm high, and a box that ends too low by 3% of its height does so in consecutive frames."""
 
 
 def of_body(track: Track, camera_position: Array) -> Track:
-    """The track of the body's middle in place of its box's foot, with the error that all its positions share.
+    """Move a track from the foot of the box to the middle of the body, and add the error that its positions share.
 
     Args:
         track: A track of `follow_road_users`.
@@ -84,7 +85,7 @@ def of_body(track: Track, camera_position: Array) -> Track:
 
 
 def _headings(velocity: Array, speed_sigma: Array) -> Array:
-    """(M,) directions of motion, radians, counter-clockwise from world x; NaN where there may be no motion."""
+    """Return (M,) directions of motion, radians, counter-clockwise from world x; NaN without significant motion."""
     speed = np.linalg.norm(velocity, axis=1)
     moves = speed > np.maximum(FOOT_TRACKS.least_speed_mps, FOOT_TRACKS.moving_sigmas * speed_sigma)
     return np.where(moves, np.arctan2(velocity[:, 1], velocity[:, 0]), np.nan)
@@ -92,7 +93,7 @@ def _headings(velocity: Array, speed_sigma: Array) -> Array:
 
 @dataclass(eq=False, slots=True)
 class _Step:
-    """One frame of a track that is being followed."""
+    """One frame of an open track."""
 
     frame: int
     time_s: float
@@ -104,23 +105,23 @@ class _Step:
 
 @dataclass(eq=False)
 class _Open:
-    """A track that is being followed."""
+    """Track that may still get detections in later frames."""
 
     steps: list[_Step]
     """The frames that can still change."""
     last_s: float
-    """Time of the latest place."""
+    """Time of the latest position, seconds."""
     scores: Counter[int] = field(default_factory=Counter)
-    """Confidence in each category, summed over all sights."""
+    """Confidence in each category, summed over all detections."""
     rows: list[tuple[float, ...]] = field(default_factory=list)
-    """The frames before `steps`, smoothed: frame, time, x, y, vx, vy, 3 variances, sigma of speed, z, box, score."""
+    """Final frames before `steps`: frame, time, x, y, vx, vy, 3 variances, sigma of speed, z, box, score."""
 
     @property
     def state(self) -> State:
         return self.steps[-1].filtered
 
     def take(self, sight: Sight) -> None:
-        """Take in the latest frame's sight."""
+        """Update the state with the detection in the latest frame."""
         step = self.steps[-1]
         step.sight = sight
         self.scores.update(sight.scores)
@@ -130,18 +131,18 @@ class _Open:
 
     @property
     def category_id(self) -> int:
-        """Of which category it most surely is."""
+        """Category with the highest summed confidence."""
         return max(self.scores, key=lambda category_id: self.scores[category_id])
 
     def category(self, speed: float) -> str:
-        """Its category, by how sure the sights are and by its speed in the median, m/s."""
+        """Return the category from the confidences and the median speed, m/s."""
         on_foot = CATEGORY_NAMES[self.category_id - 1] == PEDESTRIAN_CATEGORY
         if on_foot and speed > FOOT_TRACKS.foot_mps:
             return CATEGORY_NAMES[max(_ON_WHEELS, key=lambda category_id: self.scores[category_id]) - 1]
         return CATEGORY_NAMES[self.category_id - 1]
 
     def settle(self, until_s: float) -> None:
-        """Smooth, and keep what came before `until_s` as it then is."""
+        """Smooth all steps, and make those before `until_s` final."""
         steps = self.steps
         means, spreads = kalman.smoothed(
             [step.transition for step in steps], [step.predicted for step in steps], [step.filtered for step in steps]
@@ -156,7 +157,7 @@ class _Open:
         del steps[:count]
 
     def finished(self) -> Track | None:
-        """The whole track up to its last place, as number 0; None where it is too short to be somebody."""
+        """Return the whole track up to its last position, as number 0; None if it is too short."""
         del self.steps[sum(step.time_s <= self.last_s for step in self.steps) :]
         self.settle(np.inf)
         rows = np.array(self.rows)
@@ -189,12 +190,12 @@ class _Open:
 def follow_road_users(
     images: Iterable[Sequence[Sight]], times_s: Sequence[float], first_number: int = 1
 ) -> list[Track]:
-    """Follow people on foot and on two wheels through consecutive images of one camera.
+    """Track pedestrians and two-wheelers through consecutive images of one camera.
 
     Args:
-        images: Who is seen in each image.
-        times_s: Seconds of each image, rising.
-        first_number: Number of the first track; the others count on, by their first frames.
+        images: Detected road users of each image.
+        times_s: Time of each image, seconds, rising.
+        first_number: Number of the first track. Further tracks follow by their first frames.
     """
     live: list[_Open] = []
     ended: list[_Open] = []
@@ -225,7 +226,7 @@ def follow_road_users(
 
 
 def _own(owners: dict[Link, _Open], track: _Open, links: Sequence[Link], live: Sequence[_Open]) -> None:
-    """Give a track the numbers of its sight that no other track has that is still followed."""
+    """Give a track the numbers of its detection that no other open track has."""
     for link in links:
         if link not in owners or owners[link] not in live:
             owners[link] = track
@@ -242,11 +243,11 @@ def _begun(frame: int, time_s: float, sight: Sight, point: GroundPoint) -> _Open
 def _pairs(
     live: Sequence[_Open], sights: Sequence[Sight], owners: Mapping[Link, _Open]
 ) -> list[tuple[_Open | None, Sight]]:
-    """Each sight with its track; None where it has none. `owners` are the tracks that have had numbers."""
+    """Return each detection with its track; None if it has none. `owners` are the tracks of known numbers."""
     of_sight: dict[int, _Open] = {}
     for i, sight in enumerate(sights):
         known = [owners[link] for link in sight.links if link in owners]
-        # Of two sights with one number only the first has the track.
+        # Of two detections with one number only the first gets the track.
         of_sight.update(
             (i, track)
             for track in known[:1]
@@ -262,16 +263,16 @@ def _pairs(
 
 
 def _may_be(track: _Open, sight: Sight) -> bool:
-    """Whether a sight with the track's number may be it: where it stands, if that is known, is no jump."""
+    """Return whether a detection with the track's number may be the same road user: its position must not jump."""
     if sight.point is None:
         return True
     return float(_distances([track], [(track.category_id, sight.point)])[0, 0]) < FOOT_TRACKS.link_variances
 
 
 def _distances(tracks: Sequence[_Open], points: Sequence[tuple[int, GroundPoint]]) -> Array:
-    """(T, P) squared distances of places, with their categories, from where tracks are expected, in variances.
+    """Return (T, P) squared distances of positions, with their categories, from the predicted tracks, in variances.
 
-    Another category than the track's is farther away.
+    `FOOT_TRACKS.other_category_cost` is added if the category differs from the track's.
     """
     means = np.array([track.state[0][:2] for track in tracks]).reshape(-1, 1, 2)
     spreads = np.array([track.state[1][:2, :2] for track in tracks]).reshape(-1, 1, 2, 2)

@@ -1,4 +1,4 @@
-"""Flags of tracks that are to be distrusted, and cuts where one cannot be one vehicle's."""
+"""Flag doubtful tracks, and split tracks with motion that is impossible for one vehicle."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -13,49 +13,49 @@ from skope.tracks.track import Track
 from skope.types import Array
 
 TRACK_FLAGS: Final = ("two_poses", "never_moved", "impossible_motion", "against_traffic", "implausible_speed")
-"""Reasons to distrust a track, in the order in which files have them:
+"""Reasons to distrust a track, in the order of the files:
 
 - `two_poses`: no more than two poses show the vehicle.
 - `never_moved`: it may be a parked car, or an object that is taken for a road user.
-- `impossible_motion`: it was cut out of a track that moves as nothing on wheels does: two vehicles in one track.
-- `against_traffic`: all others at its positions drive the other way.
+- `impossible_motion`: part of a track with an acceleration that no vehicle can reach: two vehicles in one track.
+- `against_traffic`: all others at its positions drive in the opposite direction.
 - `implausible_speed`: the vehicles around it are much faster or slower.
 """
 
 
 @dataclass(frozen=True)
 class FlagLimits:
-    """Limits from which a track is flagged."""
+    """Limits at which a track is flagged."""
 
     few_poses: int = 2
-    """Number of poses of a track with little evidence."""
+    """Maximum number of poses of a track with the flag `two_poses`."""
     standing_m: float = 1.5
     """A track that stays within this distance of its median position in 95% of its frames never moved, metres."""
     standing_sizes: float = 0.25
     """The same for boxes in the image, in square roots of the box's area. In footage of two junctions the 20
     standing vehicles stayed within 0.16, and all pedestrians moved by more than 0.5."""
     standing_growth: float = 1.3
-    """Ratio of the 95th to the 5th percentile of a box's size from which it moved towards the camera or away."""
+    """Ratio of the 95th to the 5th percentile of a box's size above which it moved towards or away from the camera."""
     standing_s: float = 5.0
-    """Least duration of a track that never moved, seconds."""
+    """Minimum duration of a track that never moved, seconds."""
     end_rows: int = 3
-    """Number of rows at the start and end of a track whose median tells whether it came from elsewhere, or left."""
+    """Number of rows at the start and end of a track; their medians show whether it arrived or left."""
     acceleration_mps2: float = 9.0
     """Acceleration, along or across, that no vehicle reaches, m/s^2."""
     acceleration_s: float = 0.5
-    """Least duration of such an acceleration, seconds."""
+    """Minimum duration of such accelerations, seconds."""
     direction_mps: float = 3.0
-    """Speed from which directions count, m/s."""
+    """Minimum speed at which a direction of travel is used, m/s."""
     same_path_m: float = 1.5
-    """A vehicle that passes within this distance of another one's position uses the same path, metres."""
+    """Vehicles that pass within this distance of each other use the same path, metres. Also the grid's cell size."""
     fewest_others: int = 5
-    """Smallest number of vehicles in the other direction."""
+    """Minimum number of vehicles in the opposite direction, and of vehicles in a flow."""
     opposite_rad: float = math.radians(150)
-    """Least angle between opposite directions, radians."""
+    """Minimum angle between opposite directions, radians."""
     first_neighbours: int = 128
     """Number of vehicles on the same path that are examined first."""
     flow_s: float = 60.0
-    """Tracks within this time of a track at a spot are the flow around it, seconds."""
+    """Maximum time between a track and the tracks of the flow around it at a spot, seconds."""
     flow_tracks: int = 10
     """Maximum number of tracks in that flow: those nearest in time, so that a queue is compared with itself."""
     flow_rows: int = 64
@@ -63,12 +63,12 @@ class FlagLimits:
     flow_spots: int = 16
     """Maximum number of spots of a track at which its speed is compared."""
     flow_angle_rad: float = math.radians(45)
-    """Largest difference of direction from tracks in the same flow, radians. Tracks slower than `direction_mps`
-    have none."""
+    """Maximum difference of direction from tracks in the same flow, radians. Not applied to tracks slower than
+    `direction_mps`."""
     flow_factor: float = 1.8
     """A speed is implausible if it differs from the median of the flow by this factor or more."""
     flow_sigmas: float = 3.0
-    """It also differs by this many standard deviations of the flow and of the track's own speed."""
+    """Number of standard deviations, of the flow and of the track's speed, by which the speed must also differ."""
     mad_sigma: float = 1.4826
     """Standard deviation of a normal distribution in units of its median absolute deviation."""
 
@@ -77,9 +77,9 @@ FLAG_LIMITS: Final = FlagLimits()
 
 
 def flagged(tracks: Sequence[Track]) -> list[Track]:
-    """The tracks, each with those of `TRACK_FLAGS` that hold, numbered from 1 by their first frames.
+    """Return the tracks with their `TRACK_FLAGS`, numbered from 1 by their first frames.
 
-    Tracks are cut where they accelerate, brake or turn harder than tyres can.
+    Tracks are split where they accelerate, brake or turn harder than tyres allow.
     """
     parts = [part for track in tracks for part in _cut(track)]
     parts.sort(key=lambda track: int(track.frames[0]))
@@ -101,7 +101,7 @@ def flagged(tracks: Sequence[Track]) -> list[Track]:
 
 
 def _cut(track: Track) -> list[Track]:
-    """The parts of a track before and after motion that is impossible; where none is long enough, the whole track."""
+    """Return the parts of a track before and after impossible motion; the whole track if no part is long enough."""
     hard = _impossible(track)
     if not hard.any():
         return [track]
@@ -111,7 +111,7 @@ def _cut(track: Track) -> list[Track]:
 
 
 def _runs(holds: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
-    """The indices into (M,) truth values, split where these change."""
+    """Return the indices into (M,) truth values, split where the values change."""
     return np.split(np.arange(len(holds)), np.flatnonzero(np.diff(holds)) + 1)
 
 
@@ -120,16 +120,16 @@ def _never_moved(track: Track) -> bool:
 
 
 def box_never_moved(boxes: Array, times_s: Array) -> bool:
-    """Whether boxes in the image are those of something that never moved, whatever its category.
+    """Return whether boxes in the image belong to an object that never moved, of any category.
 
-    A road user that waits has moved if its track shows how it came or left.
+    A road user that waits has moved if its track shows it arriving or leaving.
 
     Args:
         boxes: (M, 4) x, y, width and height of one track, pixels.
-        times_s: (M,) seconds, rising.
+        times_s: (M,) times, seconds, rising.
 
     Returns:
-        True if the boxes stay in one place, with one size, for at least 5 s; False for no boxes.
+        True if the boxes stay in one place with one size for at least 5 s; False if there are no boxes.
     """
     if not len(boxes):
         return False
@@ -142,7 +142,7 @@ def box_never_moved(boxes: Array, times_s: Array) -> bool:
 
 
 def _stays(places: Array, times_s: Array, reach: float) -> bool:
-    """Whether places (M, 2) stay within `reach` of their median for some time, also at the begin and at the end."""
+    """Return whether positions (M, 2) stay within `reach` of their median, also at the start and at the end."""
     middle = np.median(places, axis=0)
     farthest = np.percentile(np.linalg.norm(places - middle, axis=1), 95)
     ends = [np.median(rows, axis=0) for rows in (places[: FLAG_LIMITS.end_rows], places[-FLAG_LIMITS.end_rows :])]
@@ -151,7 +151,7 @@ def _stays(places: Array, times_s: Array, reach: float) -> bool:
 
 
 def _impossible(track: Track) -> NDArray[np.bool_]:
-    """(M,) in which frames it accelerates, brakes or turns for some time harder than tyres can."""
+    """Return (M,) whether the vehicle accelerates, brakes or turns for some time harder than tyres allow."""
     hard = np.asarray(np.linalg.norm(track.acceleration, axis=1) > FLAG_LIMITS.acceleration_mps2)
     steps = np.diff(track.times_s, prepend=track.times_s[0])
     for run in _runs(hard):
@@ -161,7 +161,7 @@ def _impossible(track: Track) -> NDArray[np.bool_]:
 
 
 def _against_traffic(tracks: Sequence[Track]) -> set[int]:
-    """Numbers of tracks of which most of the way lies where several others drive the other way, and none along."""
+    """Return the numbers of tracks that for most of their way meet only vehicles in the opposite direction."""
     moving = [(track, np.flatnonzero(track.speed > FLAG_LIMITS.direction_mps)) for track in tracks]
     moving = [(track, rows) for track, rows in moving if rows.size]
     if len(moving) <= FLAG_LIMITS.fewest_others:
@@ -171,7 +171,7 @@ def _against_traffic(tracks: Sequence[Track]) -> set[int]:
     owner = np.concatenate([np.full(len(rows), k) for k, (_, rows) in enumerate(moving)])
     alone = np.zeros(len(places), dtype=bool)
     for here, near in _by_cell(places):
-        # Nearly all have somebody along among a few of those near: an hour has thousands beside each place.
+        # Most rows have company among a few neighbours; an hour of footage has thousands per cell.
         few = near[:: math.ceil(len(near) / FLAG_LIMITS.first_neighbours)]
         along = (ahead[here] @ ahead[few].T > 0) & (owner[here, None] != owner[few])
         for i in here[~along.any(axis=1)]:
@@ -183,9 +183,10 @@ def _against_traffic(tracks: Sequence[Track]) -> set[int]:
 
 
 def _implausible_speeds(tracks: Sequence[Track]) -> set[int]:
-    """Numbers of tracks whose speed the flow contradicts at most of the spots that they pass.
+    """Return the numbers of tracks with a speed that contradicts the flow at most of the spots that they pass.
 
-    Spots are counted and not moments: a vehicle that waits at a light has the speed of the flow along most of its way.
+    Spots are counted, not moments: a vehicle that waits at a traffic light has the speed of the flow on most of its
+    way.
     """
     if len(tracks) <= FLAG_LIMITS.fewest_others:
         return set()
@@ -195,7 +196,7 @@ def _implausible_speeds(tracks: Sequence[Track]) -> set[int]:
     speeds = np.concatenate([track.speed[own] for track, own in zip(tracks, rows, strict=True)])
     sigmas = np.concatenate([track.speed_sigma[own] for track, own in zip(tracks, rows, strict=True)])
     velocities = np.concatenate([track.velocity[own] for track, own in zip(tracks, rows, strict=True)])
-    slow = speeds < FLAG_LIMITS.direction_mps  # headings of such tracks are often wrong, by 180 degrees too
+    slow = speeds < FLAG_LIMITS.direction_mps  # headings of these tracks are often wrong, even by 180 degrees
     ahead = velocities / np.maximum(speeds, FLAG_LIMITS.direction_mps)[:, None]
     owner = np.repeat(np.arange(len(tracks)), [len(own) for own in rows])
     compared = np.concatenate([_spread_evenly(len(own), FLAG_LIMITS.flow_spots) for own in rows])
@@ -218,7 +219,7 @@ def _implausible_speeds(tracks: Sequence[Track]) -> set[int]:
 
 
 def _contradicts(others: Array, speed: float, sigma: float) -> bool:
-    """Whether the speeds of a flow (N,) contradict a speed that has the standard deviation `sigma`, m/s."""
+    """Return whether the speeds of a flow (N,) contradict a speed with standard deviation `sigma`, m/s."""
     median = float(np.median(others))
     spread = FLAG_LIMITS.mad_sigma * float(np.median(np.abs(others - median)))
     slower, faster = sorted((speed, median))
@@ -228,22 +229,22 @@ def _contradicts(others: Array, speed: float, sigma: float) -> bool:
 
 
 def _spots(track: Track) -> NDArray[np.intp]:
-    """The middle row of each stay of a track in a square of `FLAG_LIMITS.same_path_m`."""
+    """Return the middle row of each stay of a track in a square of `FLAG_LIMITS.same_path_m`."""
     cells = np.floor(track.xy / FLAG_LIMITS.same_path_m)
     change = np.flatnonzero((np.diff(cells, axis=0) != 0).any(axis=1)) + 1
     return np.array([run[len(run) // 2] for run in np.split(np.arange(len(cells)), change)])
 
 
 def _spread_evenly(count: int, most: int) -> NDArray[np.bool_]:
-    """(count,) truth values of which up to `most` are true, evenly spread."""
+    """Return (count,) truth values with up to `most` evenly spaced true ones."""
     chosen = np.zeros(count, dtype=bool)
     chosen[np.linspace(0, count - 1, min(count, most)).astype(int)] = True
     return chosen
 
 
 def _by_cell(places: Array) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """The indices into places (P, 2) in each square of `FLAG_LIMITS.same_path_m`, and those in it and the squares
-    around it."""
+    """Yield for each square of `FLAG_LIMITS.same_path_m` the indices into places (P, 2) inside it, and the indices
+    inside it or the eight squares around it."""
     cells = np.floor(places / FLAG_LIMITS.same_path_m).astype(np.int64)
     found, number = np.unique(cells, axis=0, return_inverse=True)
     order = np.argsort(number.ravel(), kind="stable")
@@ -255,6 +256,6 @@ def _by_cell(places: Array) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]
 
 
 def _directions(track: Track, rows: NDArray[np.intp]) -> Array:
-    """(R, 2) unit vectors of where a vehicle drives in the frames `rows`."""
+    """Return (R, 2) unit vectors of a vehicle's direction of travel in `rows`."""
     velocity = track.velocity[rows, :2]
     return np.asarray(velocity / np.linalg.norm(velocity, axis=1, keepdims=True))

@@ -1,4 +1,4 @@
-"""`skope eval track`: poses of every frame, tracks through them, and their files."""
+"""`skope eval track`: estimate poses in every frame, track vehicles through them and write the files."""
 
 import itertools
 from collections import Counter
@@ -41,36 +41,36 @@ _PROGRESS_NAME: Final = ".poses.jsonl"
 
 @dataclass(frozen=True, kw_only=True)
 class TrackJob:
-    """A run that follows vehicles, and what it writes."""
+    """Settings of a tracking run and its outputs."""
 
     scene: Scene
     place: Path
-    """Folder of the scene's file: what the file says of its footage is relative to it."""
+    """Folder of the scene's file. Paths to footage in the file are relative to it."""
     out: Path
     fps: float | None
-    """Images a second; None: the images tell their times."""
+    """Images per second; None: the images carry their times."""
     start_time: datetime | None
-    """Time of second 0, with its zone; None: as the file of frames says, which does so of live streams."""
+    """Time of second 0 with its time zone; None: read from the file of frames, which has it for live streams."""
     noise: float
     """Standard deviation of the noise that is added to labelled keypoints, pixels."""
     score: float
-    """Detections above this are followed."""
+    """Minimum score of the detections to follow."""
     sigma_px: float | None
     """Standard deviation of a keypoint, pixels; None as in `Scene.views`."""
     video: bool
-    """Whether a bird's-eye video is written too."""
+    """Whether to write a bird's-eye video."""
     overlay: bool
-    """Whether the footage is written too, with the tracks in it."""
+    """Whether to write a copy of the footage with the tracks drawn in it."""
 
 
 def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
-    """Follow the vehicles and write their tracks under `job.out`; yields lines that say what was written and found."""
+    """Follow the vehicles, write their tracks to `job.out`, and yield lines that report files and results."""
     scene = job.scene
     start_time = start_time_of(scene, job.start_time)
     times = times_of(scene, job.fps)
     progress = poses_kept(job.out)
     if progress.count:
-        console.say(f"{scene.file.name}: going on after the poses of {progress.count} images")
+        console.say(f"{scene.file.name}: resuming after the poses of {progress.count} images")
     refused = Counter[str]()
     every = followed(job, times, progress, refused, console)
     camera = scene.camera_of(scene.file.images[0])
@@ -81,7 +81,7 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
     observation = observation_of(scene, times, start_time)
     write_bytes(job.out / FOOTAGE_FILE, json_bytes(observation.to_dict()))
     written = [TRACKS_CSV, "mot.txt", "fcd.xml", FOOTAGE_FILE, "birdseye.png"]
-    shown = [observation.with_camera_error(track) for track in every]  # each by itself
+    shown = [observation.with_camera_error(track) for track in every]  # the camera's error applies to each track
     tracks = [track for track in shown if track.category == VEHICLE_CATEGORY]
     road_users = [track for track in shown if track.category != VEHICLE_CATEGORY]
     road = _road(job, camera, console)
@@ -128,30 +128,30 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
 
 
 def start_time_of(scene: Scene, start_time: datetime | None) -> datetime | None:
-    """Time of second 0: `start_time`, else the start of a live stream from the file of frames, else None."""
+    """Return the time of second 0: `start_time`, else the start of a live stream from the file of frames, else None."""
     said = scene.file.info.get(START_TIME_KEY)
     where = f"{scene.file.name}: info.{START_TIME_KEY}"
     return read_start_time(said, where) if start_time is None and said is not None else start_time
 
 
 def poses_kept(folder: Path) -> Progress:
-    """The file in a folder that keeps the poses of each image until a run is done."""
+    """Return the file in a folder that keeps the poses of each image until a run is done."""
     return Progress(folder / _PROGRESS_NAME, ("sights",))
 
 
 def followed(
     job: TrackJob, times: Sequence[float], progress: Progress, refused: Counter[str], console: Console
 ) -> list[Track]:
-    """Tracks of vehicles, then of other road users, with flags, rounded as tracks.csv has them.
+    """Return the tracks of vehicles, then of other road users, with flags, rounded as in tracks.csv.
 
-    Their errors are those for a known camera: what is not known of it is in `observation_of`.
+    Their errors assume a known camera. The camera's own uncertainty is in `observation_of`.
 
     Args:
-        job: The footage and how to follow it.
-        times: Time of each image, seconds, as `times_of` gives them.
-        progress: Of `poses_kept`.
-        refused: Counts why vehicles have no pose, by reason.
-        console: Where progress goes.
+        job: The footage and the tracking settings.
+        times: Time of each image, seconds, as `times_of` returns them.
+        progress: Poses of earlier images, as `poses_kept` returns them.
+        refused: Counter of the reasons why vehicles have no pose; updated in place.
+        console: Console for the progress.
     """
     scene = job.scene
     seen = console.bar(_seen(job, progress, refused), total=len(times), unit="image", label="poses")
@@ -164,7 +164,7 @@ def followed(
 
 
 def observation_of(scene: Scene, times: Sequence[float], start_time: datetime | None) -> Observation:
-    """Times at which the road was observed, which no track tells: `skope.traffic` counts by it.
+    """Return the times at which the road was observed, and what is known of the camera, for `skope.traffic`.
 
     Args:
         scene: The footage.
@@ -196,7 +196,7 @@ def observation_of(scene: Scene, times: Sequence[float], start_time: datetime | 
 
 
 def _road_users(job: TrackJob, times: Sequence[float], first_number: int) -> list[Track]:
-    """Tracks of people on foot and on two wheels, where it is known where the road is."""
+    """Return tracks of pedestrians and two-wheelers; none if the height of the road is unknown."""
     if job.scene.ground is None:
         return []
     sights = sights_of(job.scene, score=job.score, sigma_px=job.sigma_px)
@@ -205,7 +205,7 @@ def _road_users(job: TrackJob, times: Sequence[float], first_number: int) -> lis
 
 
 def _write_road_users(job: TrackJob, tracks: list[Track]) -> list[str]:
-    """Write MOTChallenge files of people and two-wheelers, by category; returns the files' names."""
+    """Write MOTChallenge files of pedestrians and two-wheelers, by category; return the files' names."""
     written = []
     for number, category in enumerate(CATEGORY_NAMES[1:], start=2):
         own = [track for track in tracks if track.category == category]
@@ -220,29 +220,29 @@ def _write_road_users(job: TrackJob, tracks: list[Track]) -> list[str]:
 
 
 def _road_user_words(job: TrackJob, tracks: list[Track]) -> Iterator[str]:
-    """Numbers of road users of each category in words, or why there is none."""
+    """Yield the number of road users of each category, or why there are none."""
     if tracks:
         counts = Counter(track.category for track in tracks)
-        yield f"besides: {', '.join(counted(counts[name], name) for name in CATEGORY_NAMES if counts[name])}"
+        yield f"also: {', '.join(counted(counts[name], name) for name in CATEGORY_NAMES if counts[name])}"
     elif job.scene.ground is None and len(job.scene.file.categories) > 1:
         others = ", ".join(job.scene.file.categories[1:])
-        yield f"{others}: no tracks, which need to know where the road is (--ground)"
+        yield f"{others}: no tracks, because the height of the road is unknown (--ground)"
 
 
 def _road(job: TrackJob, camera: Camera, console: Console) -> NDArray[np.uint8] | None:
-    """The empty road as `camera` shows it; None where the footage is not at hand: tracks do without."""
+    """Return the empty road as `camera` shows it, or None if the footage is not available."""
     try:
         road = empty_road(job.place, job.scene.calibrated_part().file)
     except UserError as error:
-        console.say(f"birdseye.png does without a picture of the road: {error}")
+        console.say(f"birdseye.png has no picture of the road: {error}")
         return None
     return road if road is not None and road.shape[1::-1] == (camera.width, camera.height) else None
 
 
 def _seen(job: TrackJob, progress: Progress, refused: Counter[str]) -> Iterator[list[Detection]]:
-    """The vehicles of each image: as an earlier, stopped run has written them down, or located now.
+    """Yield the vehicles of each image: from an earlier, interrupted run, or located now.
 
-    `refused` counts why there are none of their poses.
+    `refused` counts the reasons why vehicles have no pose.
     """
     earlier = itertools.islice(progress.rows(), progress.count)
     for view in job.scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise):
@@ -256,7 +256,7 @@ def _seen(job: TrackJob, progress: Progress, refused: Counter[str]) -> Iterator[
 
 
 def times_of(scene: Scene, fps: float | None) -> list[float]:
-    """Time of each image, seconds. Raises UserError where neither `fps` nor the file tells it."""
+    """Return the time of each image, seconds. Raise UserError if neither `fps` nor the file gives it."""
     images = scene.file.images
     if len(images) < 2:
         raise UserError(f"{scene.file.name}: tracks need two images or more, got {len(images)}")
@@ -275,7 +275,7 @@ def times_of(scene: Scene, fps: float | None) -> list[float]:
 
 
 def _write_truth(path: Path, scene: Scene, labels: Sequence[Labelled]) -> None:
-    """The labels' own tracks, of one category, as MOTChallenge has ground truth: to count, of class 1, visible."""
+    """Write the labelled tracks of one category as MOTChallenge ground truth: all counted, class 1, visible."""
     of_image: dict[int, list[Labelled]] = {image.id: [] for image in scene.file.images}
     for label in labels:
         of_image[label.image_id].append(label)
@@ -289,7 +289,7 @@ def _write_truth(path: Path, scene: Scene, labels: Sequence[Labelled]) -> None:
 
 
 def speed_errors(scene: Scene, tracks: list[Track]) -> Iterator[str]:
-    """Errors of speeds against the simulation's, over frames in which a vehicle drives at 2 m/s or more."""
+    """Yield the speed errors against the simulation, over frames in which a vehicle drives at 2 m/s or more."""
     labelled = scene.file.by_image()
     truth = {
         (image.id, a.track_id): float(np.linalg.norm(a.velocity))

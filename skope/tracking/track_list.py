@@ -1,4 +1,4 @@
-"""The tracks of one footage together: by frame, drawn, and as a file."""
+"""`Tracks`: all tracks of one footage, with access by frame, drawing and a file."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -20,36 +20,36 @@ class TrackedRoadUser:
     """A road user in one frame of its track."""
 
     number: int
-    """Number of the track, the same in all frames."""
+    """Number of the track, constant over all frames."""
     category: str
     """Vehicle, bicycle, motorcycle or pedestrian."""
     class_name: str
     """Class of a vehicle (car, van, lorry, bus, unknown), else the category."""
     position: Array
-    """(3,) on the ground, world, metres: under the middle of a vehicle, where a person or two-wheeler stands."""
+    """(3,) position on the ground, world, metres: under the middle of a vehicle, or under a person or two-wheeler."""
     heading: float
-    """Radians, counter-clockwise from world x; NaN where it is not known."""
+    """Heading, radians, counter-clockwise from world x; NaN if not known."""
     speed: float
-    """m/s."""
+    """Speed, m/s."""
     size_lwh: Array
-    """(3,) length, width and height, metres; NaN where not measured."""
+    """(3,) length, width and height, metres; NaN if not measured."""
     box_xyxy: Array
-    """(4,) pixels; NaN where the road user was missed in this frame."""
+    """(4,) box, pixels; NaN if the road user was not detected in this frame."""
     located: bool
-    """Whether its position was measured in this frame; else it follows from the frames around."""
+    """Whether its position was measured in this frame; else it is interpolated from the frames around."""
 
 
 class Tracks(list[Track]):
-    """The road users of one footage: vehicles, then people and two-wheelers, by their first frames."""
+    """Road users of one footage: vehicles first, then pedestrians and two-wheelers, by their first frames."""
 
     def __init__(
         self, tracks: Iterable[Track], observation: Observation, *, frame_index: Sequence[int] | None = None
     ) -> None:
-        """Put tracks together.
+        """Combine tracks of one footage.
 
         Args:
             tracks: The tracks.
-            observation: When the road was observed, and by what camera: counts need it.
+            observation: Times at which the road was observed, and the camera; needed for counts.
             frame_index: Number of each frame in its video. Default: 0, 1, 2, ...
         """
         super().__init__(tracks)
@@ -62,14 +62,14 @@ class Tracks(list[Track]):
         return self.observation.times_s
 
     def at(self, frame: int) -> tuple[TrackedRoadUser, ...]:
-        """The road users that are present in a frame, numbered from 0."""
+        """Return the road users that are present in a frame, numbered from 0."""
         return tuple(_state(track, i) for track in self if (i := _row(track, frame)) is not None)
 
     def draw(self, image: Pixels, frame: int) -> Pixels:
-        """A copy of a frame, (H, W, 3) RGB, with box, number, class and speed of each detected road user.
+        """Return a copy of a frame, (H, W, 3) RGB, with box, number, class and speed of each detected road user.
 
         Raises:
-            UserError: The pixels are of another shape or type.
+            UserError: The pixels have another shape or type.
         """
         image = check_image("image", image)
         rows = ((track, _row(track, frame)) for track in self)
@@ -78,7 +78,7 @@ class Tracks(list[Track]):
         )
 
     def to_csv(self, path: str | Path) -> None:
-        """Write tracks.csv as `skope eval track` does: a row for each frame of each track.
+        """Write tracks.csv as `skope eval track` does: one row per track and frame.
 
         docs/from-camera-to-tracks.md explains the columns.
 
@@ -89,7 +89,7 @@ class Tracks(list[Track]):
 
 
 def _row(track: Track, frame: int) -> int | None:
-    """Row of a frame in a track; None where the track is not present."""
+    """Return the row of a frame in a track, or None if the track is not present."""
     rows = np.flatnonzero(track.frames == frame)
     return int(rows[0]) if len(rows) else None
 

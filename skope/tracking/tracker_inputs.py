@@ -1,4 +1,4 @@
-"""Detections of one image as a tracker sees them: a box, and what its pose says."""
+"""Input of a tracker for one image: detections with their boxes and poses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -10,21 +10,21 @@ from skope.pose.pose_records import INTERPOLATED_REASON, Located
 from skope.types import Array
 
 LEAST_SIGMA_M: Final = 0.05
-"""Least standard deviation of a measured position, metres. Shape errors are the same from frame to frame."""
+"""Minimum standard deviation of a measured position, metres. Shape errors are the same from frame to frame."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PoseMeasurement:
-    """Place of a detection on the ground, by its pose, and how certain it is."""
+    """Position, heading and size of a detection from its pose, with their uncertainty."""
 
     place: Array
     """(2,) world x, y, metres, on the ground under the middle of the box."""
     covariance: Array
-    """(2, 2) covariance of the place, square metres."""
+    """(2, 2) covariance of the position, square metres."""
     height: float
     """z of the road there, metres."""
     heading: float
-    """Radians, counter-clockwise from world x."""
+    """Heading, radians, counter-clockwise from world x."""
     heading_sigma: float
     """Standard deviation of the heading, radians."""
     size_lwh: Array
@@ -35,24 +35,24 @@ class PoseMeasurement:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Detection:
-    """A vehicle that was found in one image."""
+    """Vehicle that was detected in one image."""
 
     bbox: Array
     """(4,) x, y, width, height, pixels."""
     score: float
     truth_id: int | None
-    """The track of the ground-truth vehicle that it is, or matches; None where there is none."""
+    """Ground-truth track of the vehicle, labelled or matched; None if there is none."""
     pose: PoseMeasurement | None
-    """Its pose; None where the pose solver refused one."""
+    """Pose of the vehicle; None if the pose solver rejected it or was not run."""
     link: int | None = None
-    """Number that the detections of one vehicle share from frame to frame, as boxes and points on it say; None: not
+    """Number that the detections of one vehicle share from frame to frame, from boxes and followed points; None: not
     known."""
     refused: str | None = None
-    """Reason for which the pose solver refused one; None also where none was asked for, as between key frames."""
+    """Reason why the pose solver rejected the pose; None also if no pose was estimated, as between key frames."""
 
 
 def detections_of(image: Located, *, linked: bool = True) -> list[Detection]:
-    """The vehicles of an image as a tracker sees them; `linked`: under the numbers that they have."""
+    """Return the vehicles of an image as tracker input. `linked`: keep their numbers as `Detection.link`."""
     view, poses = image.view, image.poses
     out = []
     for i, good in enumerate(image.good):
@@ -74,7 +74,7 @@ def detections_of(image: Located, *, linked: bool = True) -> list[Detection]:
 
 
 def detection_to_dict(detection: Detection) -> dict[str, Any]:
-    """JSON values of a detection, not rounded."""
+    """Return JSON values of a detection, not rounded."""
     values = {"bbox": detection.bbox.tolist(), "pose": None}
     values |= {name: getattr(detection, name) for name in ("score", "truth_id", "link", "refused")}
     if (pose := detection.pose) is not None:
@@ -84,7 +84,7 @@ def detection_to_dict(detection: Detection) -> dict[str, Any]:
 
 
 def detection_from_dict(values: Mapping[str, Any]) -> Detection:
-    """The detection that `detection_to_dict` made JSON values of."""
+    """Return the detection of JSON values from `detection_to_dict`."""
     pose = values["pose"]
     if pose is not None:
         pose = PoseMeasurement(

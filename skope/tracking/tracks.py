@@ -1,4 +1,4 @@
-"""The tracker's working state of a vehicle: `OpenTrack`, which becomes a smoothed `Track` at its end, and its class."""
+"""`OpenTrack`, the tracker's working state of a vehicle, which becomes a smoothed `Track` at its end."""
 
 import itertools
 from collections import Counter
@@ -25,34 +25,37 @@ OF_BODY_TYPE: Final[Mapping[str, str]] = {
     "bus": "bus",
     "articulated_bus": "bus",
 }
-"""Classes of body types that are no cars."""
+"""Classes of body types that are not cars."""
 
 
 @dataclass(frozen=True)
 class TrackLimits:
-    """Limits of tracks that are reported."""
+    """Limits for reporting a track."""
 
     independent_poses: float = 5.0
-    """Maximum number of independent poses that a track is worth. Poses of one vehicle share errors."""
+    """Maximum effective number of independent poses of a track. Poses of one vehicle share errors."""
     class_confidence: float = 0.6
-    """Confidence from which a class is named."""
+    """Confidence at and above which a class is named; below it the class is `unknown`."""
     box_s: float = 0.5
     """Time for which a track's last box still locates it in the image, and for which boxes alone extend it,
     seconds."""
     fewest_poses: int = 2
-    """Smallest number of poses of a track."""
+    """Minimum number of poses of a track."""
     shortest_s: float = 0.4
-    """Shortest duration of a track, seconds."""
+    """Minimum duration of a track, seconds."""
 
 
 TRACK_LIMITS: Final = TrackLimits()
 
 
 def vehicle_class(body_types: Mapping[str, int]) -> tuple[str, float]:
-    """The class of a track, of whose poses so many have each body type, and its confidence, 0 to 1.
+    """Return the vehicle class of a track and its confidence, 0 to 1.
 
-    The share of the poses that agree is drawn towards a half, the more the fewer they are. A class that is less sure
-    than `TRACK_LIMITS.class_confidence` is unknown.
+    The confidence is the share of agreeing poses, drawn towards 0.5. Fewer poses are drawn more. A class below
+    `TRACK_LIMITS.class_confidence` is `unknown`.
+
+    Args:
+        body_types: Number of the track's poses with each body type.
     """
     votes = dict.fromkeys(VEHICLE_CLASS_NAMES, 0)
     for name, number in body_types.items():
@@ -66,7 +69,7 @@ def vehicle_class(body_types: Mapping[str, int]) -> tuple[str, float]:
 
 @dataclass(eq=False, slots=True)
 class TrackStep:
-    """One frame of a track that is being followed."""
+    """One frame of an open track."""
 
     frame: int
     time_s: float
@@ -81,20 +84,20 @@ class TrackStep:
 
 @dataclass(frozen=True, eq=False)
 class TrackPart:
-    """Consecutive frames of a track, smoothed for good, a row each; NaN where nothing was measured."""
+    """Consecutive frames of a track in final smoothed form, one row per frame; NaN where nothing was measured."""
 
     frames: NDArray[np.intp]
     times_s: Array
     states: Array
     """(M, 6) means of the smoothed states, as in `skope.tracking.kalman`."""
     covariances: Array
-    """(M, 2, 2) of the positions, square metres."""
+    """(M, 2, 2) covariances of the positions, square metres."""
     speed_sigmas: Array
     """(M,) standard deviations of the speeds, m/s."""
     heights: Array
     """(M,) z of the road, metres."""
     headings: Array
-    """(M,) as measured, radians."""
+    """(M,) measured headings, radians."""
     heading_sigmas: Array
     """(M,) standard deviations of the headings, radians."""
     sizes: Array
@@ -102,39 +105,39 @@ class TrackPart:
     boxes: Array
     """(M, 4) x, y, width, height, pixels."""
     scores: Array
-    """(M,)"""
+    """(M,) detection scores, 0 to 1."""
     truth_ids: NDArray[np.int64]
-    """(M,) -1 where there is none."""
+    """(M,) ids of the labelled vehicles; -1 where there is none."""
 
 
 Sighting: TypeAlias = tuple[int, float, Detection]
-"""Frame, seconds, and what was seen there."""
+"""Frame, time in seconds and detection."""
 
 
 @dataclass(eq=False)
 class OpenTrack:
-    """A track that is being followed."""
+    """Track that may still get detections in later frames."""
 
     steps: list[TrackStep]
     """The frames that can still change."""
     last_pose: PoseMeasurement
-    """For the heading and size that the vehicle has now."""
+    """Latest pose: the current heading and size of the vehicle."""
     parts: list[TrackPart] = field(default_factory=list)
-    """The frames before `steps`, which no longer change."""
+    """Final frames before `steps`."""
     kinds: Counter[str] = field(default_factory=Counter)
-    """Number of its poses with each body type."""
+    """Number of poses with each body type."""
     last_pose_s: float = 0.0
     """Time of `last_pose`, seconds."""
     elsewhere: dict[int, Detection] = field(default_factory=dict)
-    """By frame, the detections since `last_pose` that its box says are this vehicle and whose pose is elsewhere."""
+    """Detections since `last_pose`, by frame, that match this vehicle by box but not by pose."""
     successor: "OpenTrack | None" = None
-    """Track that goes on from `elsewhere` in place of this one, which then ends with `last_pose`."""
+    """Track that continues from `elsewhere` in place of this one, which then ends with `last_pose`."""
     approach: list[Sighting] = field(default_factory=list)
-    """Sights of it before its first pose, latest first."""
+    """Detections of the vehicle before its first pose, latest first."""
     surrounding: "OpenTrack | None" = None
-    """Another track inside whose vehicle this one's middle is: perhaps both are one vehicle."""
+    """Other track with a vehicle around the middle of this one; both may be the same vehicle."""
     surrounded_s: float = 0.0
-    """Time since which `surrounding` is the same, seconds."""
+    """Time since which `surrounding` has not changed, seconds."""
 
     @property
     def state(self) -> State:
@@ -143,7 +146,7 @@ class OpenTrack:
 
     @property
     def unseen(self) -> bool:
-        """Whether the latest frame has given it no detection (yet)."""
+        """Whether the track has no detection in the latest frame (yet)."""
         return self.steps[-1].detection is None
 
     @property
@@ -153,11 +156,14 @@ class OpenTrack:
 
     @property
     def poses(self) -> int:
-        """Number of its poses."""
+        """Number of poses."""
         return self.kinds.total()
 
     def box(self, time_s: float) -> Array | None:
-        """(4,) the last box seen, unless it is old by `time_s`: then None."""
+        """Return the last box (4,), or None if it is older than `TRACK_LIMITS.box_s` at `time_s`.
+
+        A box of the frame before the latest is returned at any age.
+        """
         for step in reversed(self.steps):
             if time_s - step.time_s > TRACK_LIMITS.box_s:
                 break
@@ -166,19 +172,19 @@ class OpenTrack:
         return self.steps[-2].detection.bbox if len(self.steps) > 1 and self.steps[-2].detection is not None else None
 
     def predict(self, frame: int, time_s: float, F: Array, Q: Array) -> None:
-        """Go on to a frame, whose detections are not known yet.
+        """Advance to a frame with detections that are not known yet.
 
         Args:
             frame: The frame, from 0.
             time_s: Its time, seconds.
             F: (6, 6) transition, of `kalman.motion`.
-            Q: (6, 6) covariance of what is added in the step.
+            Q: (6, 6) covariance of the process noise of the step.
         """
         ahead = kalman.predicted_state(self.state, F, Q)
         self.steps.append(TrackStep(frame, time_s, F, ahead, ahead))
 
     def update(self, detection: Detection, pose: PoseMeasurement) -> None:
-        """Take in the latest frame's detection and its pose."""
+        """Update the state with the detection and pose of the latest frame."""
         step = self.steps[-1]
         step.filtered = kalman.updated(step.filtered, pose)
         step.detection = detection
@@ -188,11 +194,11 @@ class OpenTrack:
         self.elsewhere = {}
 
     def settle(self, until_s: float) -> None:
-        """Smooth, and keep what came before `until_s` as it then is."""
+        """Smooth all steps, and make those before `until_s` final."""
         self._keep(sum(step.time_s < until_s for step in self.steps))
 
     def end(self) -> None:
-        """Smooth what is left, up to the last pose and as long as its box goes on from there."""
+        """Smooth the remaining steps, up to the last pose and as far as the box continues after it."""
         self.steps = list(itertools.takewhile(self._lasts_until, self.steps))
         self._keep(len(self.steps))
         self.steps = []
@@ -202,7 +208,7 @@ class OpenTrack:
         return since_s <= 0 or (since_s <= TRACK_LIMITS.box_s and step.detection is not None and self.successor is None)
 
     def _keep(self, count: int) -> None:
-        """Smooth, and keep the first `count` steps as they then are, after the way to the very first one."""
+        """Smooth all steps, and make the first `count` final; put the approach before the first one."""
         means, spreads = _smoothed(self.steps)
         if count and self.approach and not self.parts:
             self.parts.append(_part(*_approached(self.approach, self.steps[0], (means[0], spreads[0]))))
@@ -211,7 +217,7 @@ class OpenTrack:
 
     @property
     def confirmed(self) -> bool:
-        """Whether an ended track has been seen often and long enough to be a vehicle."""
+        """Whether an ended track has enough poses and lasts long enough to be reported."""
         times = [part.times_s for part in self.parts if len(part.times_s)]
         return (
             self.poses >= TRACK_LIMITS.fewest_poses
@@ -221,21 +227,21 @@ class OpenTrack:
 
 
 def is_confirmed(times_s: Array) -> bool:
-    """Whether a vehicle with poses at these times (P,) was seen often and long enough to be one."""
+    """Return whether a vehicle with poses at these times (P,) has enough poses and lasts long enough."""
     return len(times_s) >= TRACK_LIMITS.fewest_poses and bool(times_s[-1] - times_s[0] >= TRACK_LIMITS.shortest_s)
 
 
 def begin(
     frame: int, time_s: float, detection: Detection, pose: PoseMeasurement, approach: Sequence[Sighting] = ()
 ) -> OpenTrack:
-    """The track of a vehicle that has had no pose before.
+    """Begin the track of a vehicle that has had no pose before.
 
     Args:
         frame: The frame, from 0.
         time_s: Its time, seconds.
-        detection: What was seen of the vehicle there.
-        pose: Where it stands.
-        approach: What was seen of it before, latest first.
+        detection: Detection of the vehicle in the frame.
+        pose: Pose of the vehicle in the frame.
+        approach: Earlier detections of the vehicle, latest first.
     """
     state = kalman.first_state(pose)
     step = TrackStep(frame, time_s, np.eye(6), state, state, detection)
@@ -243,10 +249,10 @@ def begin(
 
 
 def finished(track: OpenTrack, number: int) -> Track:
-    """An ended track as a whole, which is emptied."""
+    """Return an ended track as a whole. `track` is emptied."""
     names = [one.name for one in fields(TrackPart)]
     columns = {name: np.concatenate([getattr(part, name) for part in track.parts]) for name in names}
-    track.parts = []  # twice the memory otherwise
+    track.parts = []  # otherwise both copies stay in memory
     states, located = columns["states"], np.isfinite(columns["headings"])
     times = columns["times_s"]
     vehicle, confidence = vehicle_class(track.kinds)
@@ -278,14 +284,17 @@ def finished(track: OpenTrack, number: int) -> Track:
 
 
 def _smoothed(steps: Sequence[TrackStep]) -> tuple[Array, Array]:
-    """Means (M, 6) and covariances (M, 6, 6) of the smoothed states."""
+    """Return the means (M, 6) and covariances (M, 6, 6) of the smoothed states."""
     return kalman.smoothed(
         [step.transition for step in steps], [step.predicted for step in steps], [step.filtered for step in steps]
     )
 
 
 def _approached(sightings: Sequence[Sighting], first: TrackStep, state: State) -> tuple[list[TrackStep], Array, Array]:
-    """The steps to the first one of a track, whose smoothed state is known, and their (M, 6) means and covariances."""
+    """Return the steps before the first one of a track, and their (M, 6) means and (M, 6, 6) covariances.
+
+    `state` is the smoothed state of `first`.
+    """
     steps = []
     later_s = first.time_s
     for frame, time_s, detection in sightings:

@@ -1,15 +1,19 @@
-"""Vehicles followed through a video on the ground: which detection belongs to which track.
+"""Track vehicles on the ground through a video by assigning detections to tracks.
 
-Each vehicle is a point that moves with a slowly changing acceleration (`skope.tracking.kalman`). A detection joins
-the track from which it more likely comes than from a vehicle that nobody has seen before (Jonker and Volgenant's
-assignment, as scipy has it): what counts is how certain track and pose are and how much time has passed, not how many
-frames. Before that, a detection whose box lies where one track's box was a moment ago, and no other one's, joins that
-track if its pose allows it: along the line of sight poses are uncertain by metres, where boxes are by pixels. What
-`skope eval predict` has followed from frame to frame (`Detection.link`) goes before both. For a
-vehicle without a pose, or whose pose is elsewhere all of a sudden, the box keeps the track; where poses stay elsewhere,
-it ends and another one begins, as nothing on wheels jumps. By its boxes a track also reaches back before its first pose
-and goes on after its last one, for half a second: vehicles at the image's edge and between key frames have none.
-Trackers of boxes alone would lose what the poses know: metres, headings and how certain they are.
+Each vehicle is a point with a slowly changing acceleration (`skope.tracking.kalman`). Detections are assigned in
+this order:
+
+1. Links between frames from `skope eval predict` (`Detection.link`).
+2. Boxes: a detection joins a track if its box overlaps the track's last box, no other pair of either overlaps nearly
+   as much, and its pose allows it. Along the camera's viewing ray poses are uncertain by metres, boxes by pixels.
+3. Positions: a detection joins the track from which it is more likely than from a new vehicle (Jonker and Volgenant's
+   assignment as in scipy). The likelihood depends on the covariances of track and pose and on the elapsed time, not
+   on the number of frames.
+4. Boxes again, for vehicles without a pose or with a pose that suddenly is elsewhere.
+
+If poses stay elsewhere, the track ends and a second track begins, because vehicles do not jump. By its boxes, a track
+also extends up to half a second before its first pose and after its last one: vehicles at the image's edge and between
+key frames have no pose. A tracker of boxes alone would lose the metric positions, headings and covariances.
 """
 
 import math
@@ -35,42 +39,42 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class TrackerLimits:
-    """Limits of the assignment of detections to tracks of vehicles."""
+    """Limits for assigning detections to tracks of vehicles."""
 
     pace_s: float = 0.3
-    """Least time between two boxes that give a vehicle's speed in the image, seconds."""
+    """Minimum time between two boxes that give a vehicle's speed in the image, seconds."""
     faster: float = 2.0
-    """Largest factor of that speed since. Vehicles that come near grow faster in the image."""
+    """Maximum factor by which that speed may have grown. Approaching vehicles grow faster in the image."""
     lateral_diagonals: float = 0.6
-    """Largest lateral distance of a vehicle from its predicted path at once, in diagonals of its box."""
+    """Maximum lateral distance of a vehicle from its predicted path at zero elapsed time, in diagonals of its box."""
     lateral_growth: float = 0.7
-    """Growth of that distance per second. The vehicle may have turned."""
+    """Growth of that distance, diagonals per second. The vehicle may have turned."""
     first_diagonals: tuple[float, float] = (1.0, 8.0)
-    """The same two for a vehicle that was detected once: 8 lengths per second are 130 km/h."""
+    """Both limits for a vehicle that was detected once: 8 lengths per second are 130 km/h."""
     new_vehicle_cost: float = 2 * math.log(20_000.0)
     """Cost of a new vehicle, twice a negative log likelihood: one in 20 000 m^2."""
     gate_slack_m: float = 0.5
-    """Added to the standard deviation of each prediction when detections are assigned, metres."""
+    """Standard deviation added to each prediction when detections are assigned, metres."""
     swerve_mps2: float = 6.0
-    """Acceleration with which a vehicle may have turned or braked since its last pose, m/s^2."""
+    """Acceleration at which a vehicle may have turned or braked since its last pose, m/s^2."""
     swerve_s: float = 1.0
-    """Longest duration of that acceleration, seconds."""
+    """Maximum duration of that acceleration, seconds."""
     continuing_iou: float = 0.3
-    """Least IoU by which a box without a pose continues a track."""
+    """Minimum IoU at which a box without a pose continues a track."""
     jump_iou: float = 0.5
-    """Least IoU by which a box continues a track though its pose is elsewhere."""
+    """Minimum IoU at which a box continues a track although its pose is elsewhere."""
     fresh_s: float = 0.15
     """Time for which a box alone locates a vehicle in the image, seconds."""
     clear_ratio: float = 2.0
-    """Two boxes are one vehicle's if their IoU is this many times the next best IoU of either."""
+    """Minimum ratio of the IoU of two boxes to the next best IoU of either; at or above it both are one vehicle."""
     most_jumps: int = 3
-    """Number of poses elsewhere after which the vehicle is there."""
+    """Number of poses elsewhere after which the track's successor begins there."""
     lost_s: float = 3.0
-    """A track ends when no pose of it was found for this long, seconds."""
+    """Time without a pose after which a track ends, seconds."""
     approach_s: float = 0.5
-    """Time before a vehicle's first pose for which its boxes belong to its track, seconds."""
+    """Maximum time before a vehicle's first pose during which its boxes belong to its track, seconds."""
     lag_s: float = 20.0
-    """Frames older than this are final, seconds."""
+    """Age above which frames are final, seconds. Frames become final in steps of up to twice this age."""
 
 
 TRACKER_LIMITS: Final = TrackerLimits()
@@ -78,19 +82,19 @@ TRACKER_LIMITS: Final = TrackerLimits()
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Whereabouts:
-    """Region of an image for the middle of a track's box: near a line from where it was."""
+    """Image region in which the middle of a track's next box must lie: around a line from its last position."""
 
     middle: tuple[float, float]
-    """Its last place, pixels."""
+    """Last position, pixels."""
     way: tuple[float, float]
-    """Longest way that it may have gone on from there, pixels."""
+    """Vector of the longest displacement from there, pixels."""
     diagonal: float
-    """Of the last box, pixels."""
+    """Diagonal of the last box, pixels."""
     reach: float
-    """Largest distance from the line, in diagonals."""
+    """Maximum distance from the line, in diagonals of the larger box."""
 
     def holds(self, detection: Detection) -> bool:
-        """Whether a detection can be this vehicle."""
+        """Return whether a detection can be this vehicle."""
         (x, y), (ahead_x, ahead_y) = _middle(detection.bbox), self.way
         x, y = x - self.middle[0], y - self.middle[1]
         squared = ahead_x**2 + ahead_y**2
@@ -100,7 +104,7 @@ class Whereabouts:
 
 
 def whereabouts(track: OpenTrack, time_s: float) -> Whereabouts | None:
-    """Region for the vehicle of a track in the image of its latest frame, at `time_s`; None: anywhere."""
+    """Return the image region of a track's vehicle at `time_s`, the time of its latest frame; None: anywhere."""
     last, older = _seen(track.steps)
     if last is None or last.detection is None:
         return None
@@ -116,7 +120,10 @@ def whereabouts(track: OpenTrack, time_s: float) -> Whereabouts | None:
 
 
 def _seen(steps: Sequence[TrackStep]) -> tuple[TrackStep | None, TrackStep | None]:
-    """The last step before the latest that has a box, and an older one: the newest that tells a pace, or the first."""
+    """Return the last step with a box before the latest step, and an older one that gives the speed.
+
+    The older one is the newest at least `TRACKER_LIMITS.pace_s` earlier, or else the oldest.
+    """
     last = older = None
     for step in reversed(steps[:-1]):
         if step.detection is None:
@@ -143,24 +150,24 @@ def _diagonal(bbox: Array) -> float:
 __all__ = ["Track", "follow"]
 
 Posed = tuple[Detection, PoseMeasurement]
-"""A detection that has a pose, and the pose."""
+"""Detection that has a pose, and the pose."""
 
 
 def follow(images: Iterable[Sequence[Detection]], times_s: Sequence[float]) -> list[Track]:
     """Follow the vehicles in consecutive images of one camera.
 
-    Images are taken one at a time; memory grows by 150 bytes for each vehicle and image.
+    Images are taken one at a time; memory grows by 150 bytes per vehicle and image.
 
     Args:
         images: The detections of each image.
-        times_s: Seconds of each image, rising.
+        times_s: (M,) time of each image, seconds, strictly rising.
 
     Returns:
         A track for each vehicle with enough poses (`skope.tracking.tracks.TRACK_LIMITS`), numbered from 1 by its first
         frame.
 
     Raises:
-        ValueError: The times do not rise.
+        ValueError: The times do not rise strictly.
     """
     live: list[OpenTrack] = []
     done: list[OpenTrack] = []
@@ -197,7 +204,7 @@ def follow(images: Iterable[Sequence[Detection]], times_s: Sequence[float]) -> l
 
 
 def _approach(detection: Detection, recent: deque[tuple[int, float, list[Detection]]]) -> list[Sighting]:
-    """The boxes without a track by which a new vehicle came, from frame to frame; they are taken from `recent`."""
+    """Take the boxes without a track that lead to a new vehicle out of `recent`, and return them latest first."""
     out: list[Sighting] = []
     for frame, time_s, boxes in reversed(recent):
         if not boxes:
@@ -213,7 +220,7 @@ def _approach(detection: Detection, recent: deque[tuple[int, float, list[Detecti
 
 
 def _associate(live: list[OpenTrack], image: Sequence[Detection], time_s: float) -> tuple[list[Posed], list[Detection]]:
-    """Give an image's detections to tracks, by clear boxes, by place, then by box.
+    """Assign an image's detections to tracks: by clear boxes, then by position, then by box.
 
     Returns:
         The detections of new vehicles, and those without a pose that belong to no track.
@@ -246,7 +253,7 @@ def _associate(live: list[OpenTrack], image: Sequence[Detection], time_s: float)
 
 
 def _by_link(live: Sequence[OpenTrack], detections: Sequence[Detection]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """(T, S) which tracks and detections are one vehicle's by their links, and which are not: another track is it."""
+    """Return (T, S) whether track and detection are linked, and (T, S) whether the detection is linked elsewhere."""
     of_track = np.array([-1 if track.link is None else track.link for track in live], dtype=np.int64)
     of_detection = np.array([-1 if one.link is None else one.link for one in detections], dtype=np.int64)
     same = (of_track[:, None] == of_detection) & (of_detection >= 0)
@@ -254,7 +261,10 @@ def _by_link(live: Sequence[OpenTrack], detections: Sequence[Detection]) -> tupl
 
 
 def _clear_pairs(live: Sequence[OpenTrack], posed: Sequence[Posed], time_s: float) -> list[tuple[int, int]]:
-    """Tracks and detections, by index, whose boxes overlap, a moment apart, as no other pair of either does."""
+    """Return the index pairs of tracks and detections with boxes that clearly belong together.
+
+    The track's box is recent. No other pair of either has an IoU close to theirs.
+    """
     fresh = [(t, box) for t, track in enumerate(live) if (box := _fresh_box(track, time_s)) is not None]
     if not fresh or not posed:
         return []
@@ -271,7 +281,7 @@ def _clear_pairs(live: Sequence[OpenTrack], posed: Sequence[Posed], time_s: floa
 
 
 def _fresh_box(track: OpenTrack, time_s: float) -> Array | None:
-    """(4,) the box of the image before, if that was a moment ago."""
+    """Return the box (4,) of the previous image, or None if there is none or it is too old."""
     before = track.steps[-2] if len(track.steps) > 1 else None
     if before is None or before.detection is None or time_s - before.time_s > TRACKER_LIMITS.fresh_s:
         return None
@@ -279,9 +289,9 @@ def _fresh_box(track: OpenTrack, time_s: float) -> Array | None:
 
 
 def _without_duplicates(live: Sequence[OpenTrack], new: list[Posed]) -> list[Posed]:
-    """The new vehicles but those in the middle of which another one stands: detectors see many a vehicle twice.
+    """Return the new vehicles without duplicates: detectors often find a vehicle twice.
 
-    A track that has not been seen in this image takes such a detection as its own.
+    A detection inside a tracked vehicle joins that track if the track has no detection in this image.
     """
     out: list[Posed] = []
     for detection, pose in sorted(new, key=lambda pair: -pair[0].score):
@@ -297,13 +307,13 @@ def _without_duplicates(live: Sequence[OpenTrack], new: list[Posed]) -> list[Pos
 
 
 def _can_be(track: OpenTrack, detection: Detection) -> bool:
-    """Whether a detection of the latest image is where in the image the track's vehicle can be."""
+    """Return whether the track's vehicle can be at the image position of a detection in the latest frame."""
     place = whereabouts(track, track.steps[-1].time_s)
     return place is None or place.holds(detection)
 
 
 def _cost(track: OpenTrack, pose: PoseMeasurement) -> float:
-    """Twice the negative log likelihood of a pose where the track should be; infinite out of its reach."""
+    """Return twice the negative log likelihood of a pose given the track's prediction; infinite beyond the gate."""
     mean, spread = track.state
     away = pose.place - mean[:2]
     unseen_s = min(TRACKER_LIMITS.swerve_s, track.steps[-1].time_s - track.last_pose_s)
@@ -321,9 +331,9 @@ def _cost(track: OpenTrack, pose: PoseMeasurement) -> float:
 
 
 def _by_box(live: list[OpenTrack], rest: list[Detection], least: float, time_s: float) -> list[Detection]:
-    """Give detections to tracks that have none yet by the overlap with their last boxes; returns those it gave.
+    """Assign detections to tracks without one by the overlap with their last boxes; return the assigned detections.
 
-    `least` is the IoU from which a box continues a track.
+    `least` is the minimum IoU at which a box continues a track.
     """
     free = [(track, box) for track in live if track.unseen and (box := track.box(time_s)) is not None]
     if not free or not rest:
@@ -343,7 +353,7 @@ def _by_box(live: list[OpenTrack], rest: list[Detection], least: float, time_s: 
 
 
 def _take_by_box(track: OpenTrack, detection: Detection) -> None:
-    """Note a detection by its box; where poses keep saying that the vehicle is elsewhere, let another track have it."""
+    """Add a detection by its box only. After `TRACKER_LIMITS.most_jumps` poses elsewhere, create a successor."""
     step = track.steps[-1]
     step.detection = replace(detection, pose=None)
     if detection.pose is not None:
@@ -353,7 +363,7 @@ def _take_by_box(track: OpenTrack, detection: Detection) -> None:
 
 
 def _successor(track: OpenTrack) -> OpenTrack:
-    """A track of what was seen since the last pose of one: of the poses elsewhere the last ones that fit together."""
+    """Return a track of the detections since the last pose, from the latest poses elsewhere that are consistent."""
     new: OpenTrack | None = None
     for step in track.steps:
         if new is not None:

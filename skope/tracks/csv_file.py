@@ -1,7 +1,7 @@
-"""tracks.csv: the one writer and the one reader of tracks. What is read equals what was written, to the last digit.
+"""Write and read tracks.csv. The values read equal the values written, to the last digit.
 
-A row per moment of each track, the rows of a track together. Units: metres, seconds, m/s, m/s^2, square metres, and
-degrees counter-clockwise from world x. An empty cell has no value.
+The file has one row per moment of a track; the rows of a track are adjacent. Units: metres, seconds, m/s, m/s^2, square
+metres, and degrees counter-clockwise from world x. An empty cell has no value.
 """
 
 import csv
@@ -48,7 +48,7 @@ CsvRow = dict[str, str]
 
 
 def as_written(track: Track) -> Track:
-    """The track with every value rounded as tracks.csv has it.
+    """Return the track with every value rounded as in tracks.csv.
 
     A track in memory and the same track read from its file are then equal to the last digit.
     """
@@ -71,7 +71,7 @@ def as_written(track: Track) -> Track:
 
 
 def _rounded(values: Array, digits: int) -> Array:
-    """Rounded values; 0.0 in place of -0.0, from which directions would differ."""
+    """Return rounded values, with 0.0 in place of -0.0, which would change directions."""
     return np.asarray(np.round(values, digits) + 0.0)
 
 
@@ -81,7 +81,7 @@ def write_tracks(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]
     Args:
         path: The .csv file; it is replaced when everything is written.
         tracks: The tracks.
-        frame_index: Number that each frame of the footage has in the file. Default: its index.
+        frame_index: Number of each frame of the footage in the file. Default: its index.
 
     Raises:
         UserError: The file cannot be written.
@@ -127,7 +127,7 @@ def read_tracks(path: Path) -> list[Track]:
         path: The file.
 
     Raises:
-        UserError: It is missing or wrong; the message names file, line and column.
+        UserError: The file is missing or invalid; the message names file, line and column.
     """
     if not path.is_file():
         raise UserError(f"{path}: no such file; `skope eval track FOLDER --out {path.parent}` writes it")
@@ -135,7 +135,7 @@ def read_tracks(path: Path) -> list[Track]:
 
 
 def _groups(path: Path) -> Iterator[list[CsvRow]]:
-    """The rows of each track, each with its line under "line"."""
+    """Yield the rows of each track; each row has its line number under "line"."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file)
@@ -163,30 +163,30 @@ def _groups(path: Path) -> Iterator[list[CsvRow]]:
 
 
 class _TrackRows:
-    """The rows of one track, column by column."""
+    """Rows of one track, read column by column."""
 
     def __init__(self, path: Path, rows: Sequence[CsvRow]) -> None:
         self.path, self.rows = path, rows
 
     def wrong(self, row: Mapping[str, str], name: str, expected: str) -> UserError:
-        """An error that names file, line and column."""
+        """Return an error that names file, line and column."""
         return UserError(f"{self.path}: line {row['line']}: {name}: expected {expected}, got {row[name]!r:.40}")
 
     def text(self, name: str, known: Sequence[str] | None = None) -> str:
-        """A column that has one text for the whole track."""
+        """Return the text of a column that is constant over the track."""
         value = self.rows[0][name] or ""
         if known is not None and value not in known:
             raise self.wrong(self.rows[0], name, f"one of {', '.join(known)}")
         return value
 
     def number(self) -> int:
-        """The track's number."""
+        """Return the track's number."""
         if not (self.rows[0]["track"] or "").isdecimal():
             raise self.wrong(self.rows[0], "track", "a whole number")
         return int(self.rows[0]["track"])
 
     def one(self, name: str, holds: Callable[[float], bool], expected: str, *, empty: bool = False) -> float | None:
-        """A column that has one number for the whole track; None for an empty cell."""
+        """Return the number of a column that is constant over the track; None for an empty cell."""
         value = float(_numbers(self.path, self.rows[:1], name, empty=empty)[0])
         if math.isnan(value):
             return None
@@ -195,7 +195,7 @@ class _TrackRows:
         return value
 
     def columns(self, *names: str, empty: bool = False) -> Array:
-        """(M,) numbers of one column, or (M, K) of several; with `empty`, an empty cell is NaN."""
+        """Return (M,) numbers of one column, or (M, K) of several; with `empty`, an empty cell is NaN."""
         values = [_numbers(self.path, self.rows, name, empty=empty) for name in names]
         return values[0] if len(values) == 1 else np.stack(values, axis=1)
 

@@ -1,4 +1,4 @@
-"""Files of tracks that go frame by frame: MOTChallenge's text for metrics of trackers, and SUMO's floating-car data."""
+"""Write tracks frame by frame: MOTChallenge text for tracking metrics, and SUMO's floating-car data."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,22 +17,22 @@ _SUMO_CLASS: Final = {"bus": "bus", "lorry": "truck", "van": "delivery"}
 
 
 def mot_row(frame: int, number: int, bbox: ArrayLike, rest: str) -> str:
-    """A line of MOTChallenge.
+    """Return a line of MOTChallenge text.
 
     Args:
         frame: Number of the frame, from 1.
         number: Id of the track.
         bbox: (4,) left, top, width and height, pixels.
-        rest: The columns after these, with commas.
+        rest: The remaining columns, separated by commas.
     """
     x, y, w, h = np.asarray(bbox, dtype=np.float64)
     return f"{frame},{number},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{rest}\n"
 
 
 def write_mot(path: Path, tracks: Sequence[Track]) -> None:
-    """The boxes of what was seen, as MOTChallenge and TrackEval read them: with confidence and no place in the world.
+    """Write the detected boxes for MOTChallenge and TrackEval, with confidence and without world positions.
 
-    TrackEval takes the column of the place's x for a class.
+    TrackEval reads the column of the world's x as a class.
     """
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         last = max((int(track.frames[-1]) for track in tracks), default=-1)
@@ -45,8 +45,8 @@ def write_mot(path: Path, tracks: Sequence[Track]) -> None:
 def write_fcd(path: Path, tracks: Sequence[Track], times_s: Sequence[float]) -> None:
     """Write SUMO's floating-car data (`fcd-export`), in the network's coordinates.
 
-    There a vehicle's position is the middle of its front bumper and its angle compass degrees: 0 north, clockwise. Of
-    other road users it is the place where they stand, and the angle is left out where they may stand still.
+    The position of a vehicle is the middle of its front bumper, its angle is in compass degrees: 0 north, clockwise.
+    The position of another road user is its ground point. Its angle is left out if its heading is unknown.
 
     Args:
         path: The .xml file.
@@ -97,7 +97,7 @@ def _fcd_element(name: str, values: Mapping[str, str]) -> str:
 
 
 def _by_frame(tracks: Sequence[Track], count: int) -> Iterator[tuple[int, list[tuple[Track, int]]]]:
-    """Each of `count` frames with the tracks that are there, in the order of their numbers, and their rows."""
+    """Yield `count` frames, each with its tracks and their rows, ordered by track number."""
     waiting = sorted(tracks, key=lambda track: int(track.frames[0]), reverse=True)
     present: list[Track] = []
     for frame in range(count):

@@ -1,9 +1,9 @@
 """`Track`: one road user over time, from the tracker to the traffic report.
 
-Four errors make a position uncertain, and each is kept where it belongs:
+Four errors make a position uncertain. Each is stored separately:
 
 - the noise of single observations, filtered: `Track.covariance`;
-- what one road user's own height and shape shift along its whole track: `Track.body_error`;
+- the shift of a whole track from the road user's height and shape: `Track.body_error`;
 - the camera's error, which all road users share: once per recording, in `skope.traffic.observation.Observation`;
 - the error of a gate's marks: with the gate.
 """
@@ -26,7 +26,7 @@ USUAL_SIZE_M: Final[Mapping[str, tuple[float, float]]] = {
     "bicycle": (1.8, 0.7),
     "motorcycle": (2.1, 0.8),
 }
-"""Length and width by category, metres, of road users whose own size is not measured."""
+"""Length and width by category, metres, of road users without a measured size."""
 VEHICLE_LENGTH_SIGMA_M: Final = 0.3
 """Standard deviation of a vehicle's measured length, metres."""
 KMH_PER_MPS: Final = 3.6
@@ -47,7 +47,7 @@ _PER_MOMENT: Final = (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Track:
-    """A road user at M moments, from the first to the last at which it was located, also those between.
+    """Road user at M moments, from the first to the last at which it was located, including those between.
 
     Positions are on the ground: under the middle of a vehicle's body, or where a person or two-wheeler stands. In
     tracks of image gates they are columns and negative rows, pixels.
@@ -62,26 +62,26 @@ class Track:
     class_confidence: float
     """Probability that the class of a vehicle is right, 0 to 1."""
     times_s: Array
-    """(M,) seconds of the footage, rising."""
+    """(M,) times in the footage, seconds, rising."""
     position: Array
-    """(M, 3) smoothed, world, metres."""
+    """(M, 3) smoothed positions, world, metres."""
     velocity: Array
-    """(M, 2) m/s."""
+    """(M, 2) velocities, m/s."""
     heading: Array
-    """(M,) radians, counter-clockwise from world x; NaN where it is not known."""
+    """(M,) headings, radians, counter-clockwise from world x; NaN if not known."""
     covariance: Array
-    """(M, 2, 2) of x and y, from the noise of the observations, square metres."""
+    """(M, 2, 2) covariances of x and y from the noise of the observations, square metres."""
     speed_sigma: Array
     """(M,) standard deviation of the speed for a known camera, m/s."""
     located: NDArray[np.bool_]
-    """(M,) where a position was measured; elsewhere it follows from the moments around."""
+    """(M,) whether a position was measured; else it is interpolated from the moments around."""
     body_error: Array = None  # type: ignore[assignment]  # set below
     """(M, 2) displacement for one standard deviation of the error that is the same along the whole track: height over
     the road and shape, metres. Default: none."""
     acceleration: Array = None  # type: ignore[assignment]
     """(M, 2) m/s^2. Default: NaN."""
     detected: NDArray[np.bool_] = None  # type: ignore[assignment]
-    """(M,) where the road user has a box: detected there, or followed from other frames. Default: where located."""
+    """(M,) whether the road user has a box: detected there, or followed from other frames. Default: `located`."""
     frames: NDArray[np.intp] = None  # type: ignore[assignment]
     """(M,) index of the frame in the footage. Default: 0, 1, 2, ..."""
     boxes: Array = None  # type: ignore[assignment]
@@ -89,17 +89,17 @@ class Track:
     scores: Array = None  # type: ignore[assignment]
     """(M,) scores of the detections. Default: NaN. Not in files."""
     truth_ids: NDArray[np.int64] = None  # type: ignore[assignment]
-    """(M,) ground-truth track of the detection, -1 where there is none. Default: -1. Not in files."""
+    """(M,) ground-truth track of the detection; -1 if there is none. Default: -1. Not in files."""
     body_type: str = ""
-    """Body type that most poses of a vehicle have; empty for others."""
+    """Body type of most poses of a vehicle; empty for others."""
     length: float | None = None
-    """Metres; None: not measured."""
+    """Length, metres; None: not measured."""
     width: float | None = None
-    """Metres; None: not measured."""
+    """Width, metres; None: not measured."""
     height: float | None = None
-    """Metres; None: not measured."""
+    """Height, metres; None: not measured."""
     confirmed: bool = True
-    """Whether it was seen often and long enough to be a road user; others are never counted or written."""
+    """Whether it was detected often and long enough to be a road user; others are never counted or written."""
     flags: tuple[str, ...] = ()
     """Reasons to distrust the track."""
     joined: tuple[int, ...] = ()
@@ -129,12 +129,12 @@ class Track:
 
     @cached_property
     def speed(self) -> Array:
-        """(M,) m/s."""
+        """(M,) speed, m/s."""
         return np.asarray(np.linalg.norm(self.velocity, axis=1))
 
     @cached_property
     def acceleration_along(self) -> Array:
-        """(M,) acceleration in the direction of travel, m/s^2; 0 for a road user that stands."""
+        """(M,) acceleration in the direction of travel, m/s^2; 0 for a stationary road user."""
         dot = np.einsum("mi,mi->m", self.acceleration, self.velocity)
         return np.asarray(np.divide(dot, self.speed, out=np.zeros_like(dot), where=self.speed > 0.1))
 
@@ -150,7 +150,7 @@ class Track:
 
     @cached_property
     def size(self) -> tuple[float, float]:
-        """Length and width of the footprint, metres; the usual ones of the category where they are not measured."""
+        """Length and width of the footprint, metres; the usual ones of the category if not measured."""
         length, width = USUAL_SIZE_M[self.category]
         return (self.length or length, self.width or width)
 
@@ -161,7 +161,7 @@ class Track:
 
     @cached_property
     def facing(self) -> Array:
-        """(M, 2) unit vectors towards the front; where the heading is not known, as at the nearest moment that has one.
+        """(M, 2) unit vectors towards the front; without a heading, that of the nearest moment with one.
 
         Along world x for a track without any heading.
         """
@@ -176,23 +176,23 @@ class Track:
 
     @cached_property
     def front(self) -> Array:
-        """(M, 2) middle of the front end."""
+        """(M, 2) middle of the front end, world, metres."""
         return self.xy + self.facing * (self.size[0] / 2)
 
     @cached_property
     def rear(self) -> Array:
-        """(M, 2) middle of the rear end."""
+        """(M, 2) middle of the rear end, world, metres."""
         return self.xy - self.facing * (self.size[0] / 2)
 
     def at(self, columns: Array, times_s: float | Array) -> Array:
-        """Interpolate linearly in time.
+        """Interpolate values linearly in time.
 
         Args:
             columns: (M,) or (M, ...) values at the track's moments.
-            times_s: Time or (T,) times, seconds.
+            times_s: One time or (T,) times, seconds.
 
         Returns:
-            A value, or (T, ...) values.
+            One value, or (T, ...) values.
         """
         times = np.atleast_1d(times_s)
         rows = columns.reshape(len(columns), -1)
@@ -200,7 +200,7 @@ class Track:
         return np.asarray(out.reshape((*np.shape(times_s), *columns.shape[1:])))
 
     def during(self, rows: NDArray[Any]) -> Self:
-        """The track at some of its moments.
+        """Return the track at some of its moments.
 
         Args:
             rows: Indices (R,) or truth values (M,).
@@ -209,13 +209,13 @@ class Track:
         return replace(self, **values)
 
     def sigma_at(self, time_s: float) -> float:
-        """Standard deviation of the position at a time in its worst direction, for a known camera, metres."""
+        """Return the position's standard deviation at a time in its worst direction, for a known camera, metres."""
         return float(worst_sigma(self.at(self.total_covariance, time_s)))
 
     def longest_gap(self, time_s: float, around_s: float) -> float:
-        """The longest time without a measured position around a time, seconds.
+        """Return the longest time without a measured position around a time, seconds.
 
-        Time before the track begins and after it ends is no gap: the road user was elsewhere.
+        Time before the start and after the end of the track does not count: the road user was elsewhere.
 
         Args:
             time_s: The time, seconds.
@@ -228,7 +228,7 @@ class Track:
         return float(np.diff(np.concatenate([[begin_s], inside, [end_s]])).max())
 
     def class_probability(self, name: str) -> float:
-        """Probability that the road user is of the class `name`.
+        """Return the probability that the road user is of the class `name`.
 
         The probability that a vehicle's class is wrong is shared evenly by the other classes of vehicles.
         """
@@ -243,20 +243,20 @@ class Track:
 
 
 def worst_sigma(covariance: Array) -> Array:
-    """(...,) standard deviations in the worst direction, metres, of covariances (..., 2, 2)."""
+    """Return (...,) standard deviations in the worst direction, metres, of covariances (..., 2, 2)."""
     return np.asarray(np.sqrt(np.maximum(0.0, np.linalg.eigvalsh(covariance)[..., -1])))
 
 
 def concatenated(first: Track, second: Track) -> dict[str, Any]:
-    """The fields per moment of two tracks of one road user, of which `second` begins after `first` has ended."""
+    """Return the fields per moment of two tracks of one road user; `second` begins after the end of `first`."""
     return {name: np.concatenate([getattr(first, name), getattr(second, name)]) for name in _PER_MOMENT}
 
 
 def is_in_traffic(track: Track) -> bool:
-    """Whether a track is that of a road user in traffic: confirmed, and not of something that never moved."""
+    """Return whether a track is that of a road user in traffic: confirmed, and without the flag `never_moved`."""
     return track.confirmed and "never_moved" not in track.flags
 
 
 def has_plausible_speed(track: Track) -> bool:
-    """Whether the speed of a track can be used: the traffic around it does not contradict it."""
+    """Return whether the speed of a track can be used, because the traffic around does not contradict it."""
     return "implausible_speed" not in track.flags

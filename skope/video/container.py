@@ -1,4 +1,4 @@
-"""A video file or stream as PyAV opens it: which stream is read, when its frames are shown, how its pixels lie."""
+"""A video file or stream as PyAV opens it: the selected stream, the times of its frames, the shape of its pixels."""
 
 import itertools
 import math
@@ -22,53 +22,53 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ContainerLimits:
-    """Defaults and limits of times in containers."""
+    """Defaults and limits for times in containers."""
 
     assumed_fps: float = 25.0
-    """Frame rate of a video that states none."""
+    """Frame rate assumed for a video that states none, frames per second."""
     usual_fps: float = 120.0
-    """Frame rates above this are reported: containers often state the unit of their clock instead of a frame rate."""
+    """Frame rate above which it is reported: containers often state the unit of their clock instead."""
     silence_s: float = 5.0
-    """A server that sends nothing for this long counts as broken off, seconds."""
+    """Time without data after which a server counts as disconnected, seconds."""
     square_within: float = 0.005
     """Deviation of a pixel's aspect ratio from 1 that is ignored."""
     same_s: float = 5e-4
-    """Times that differ by less are the same, seconds: containers count in thousandths of a second, or finer."""
+    """Difference below which times are equal, seconds: containers count in thousandths of a second, or finer."""
     gap_s: float = 1.0
-    """A time without frames is reported from this length on, seconds."""
+    """Minimum duration of a reported gap without frames, seconds."""
     gap_frames: float = 5.0
-    """It is also longer than this many frames last."""
+    """Minimum duration of a reported gap, in frame intervals."""
     most_gaps: int = 3
-    """Number of gaps that are reported."""
+    """Maximum number of reported gaps."""
     default_stream_pixels: int = 5_000_000
-    """A stream that its container marks as the default one counts as this many pixels larger, as in FFmpeg."""
+    """Bonus in pixels for the stream that its container marks as the default one, as in FFmpeg."""
 
 
 CONTAINER_LIMITS: Final = ContainerLimits()
 
 _RTSP_OPTIONS: Final = {"rtsp_transport": "tcp", "fpsprobesize": "0", "fflags": "nobuffer"}
-"""Options of FFmpeg for cameras: no lost packets, and no seconds spent on guessing the frame rate."""
+"""Options of FFmpeg for cameras: no lost packets, and no delay to estimate the frame rate."""
 CREDENTIALS_PATTERN: Final = re.compile(r"^(\w+://)[^/]*@")
 _RAW_FORMATS: Final = frozenset(
     ("h264", "hevc", "vvc", "mjpeg", "mpegvideo", "m4v", "h263", "vc1", "obu", "dirac", "cavsvideo", "rawvideo")
 )
-"""FFmpeg's names of formats that are nothing but coded frames, without times."""
+"""FFmpeg's names of formats that consist of coded frames without times."""
 _LISTS_FRAMES: Final = ("avi", "mov,")
-"""Beginnings of FFmpeg's names of containers which list all their frames; others state estimates."""
+"""Beginnings of FFmpeg's names of containers that list all their frames; others state estimates."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class VideoInfo:
-    """What a video file or stream says about itself. It is opened once for this."""
+    """Properties that a video file or stream states about itself. It is opened once to read them."""
 
     address: str
     """Path of a file on this machine, or address on a server."""
     live: bool = False
-    """Whether its frames come as they are recorded, and only once."""
+    """Whether its frames arrive as they are recorded, and only once."""
     count: int = 0
-    """Number of frames; of a file on a server as its container states it. 0: unknown."""
+    """Number of frames; for a file on a server as its container states it. 0: unknown."""
     lost: int = 0
-    """Number of frames that a file on this machine lists, and that it ends without."""
+    """Number of frames that a file on this machine lists but does not contain."""
     given_fps: float | None = None
     """Frame rate that the user gave in place of the time stamps, frames per second."""
     rate: float = CONTAINER_LIMITS.assumed_fps
@@ -76,17 +76,17 @@ class VideoInfo:
     times_s: tuple[float, ...] = ()
     """Time of each frame since the first one, seconds, of a file on this machine; empty for others."""
     stamps: tuple[int, ...] = ()
-    """Time stamp of each frame, in the stream's unit; empty where frames have no reliable ones and are counted."""
+    """Time stamp of each frame, in the stream's unit; empty if they are unreliable and frames are counted."""
     size: tuple[int, int] | None = None
     """Width and height of the first frame of a file on this machine, upright, pixels; None for others."""
     pixel_width: float = 1.0
-    """Width of a stored pixel as it is to be shown, divided by its height."""
+    """Ratio of width to height of a stored pixel on display."""
     notes: tuple[str, ...] = ()
-    """Assumptions that a user must know of, a line each."""
+    """Assumptions to report to the user, one line each."""
 
     @property
     def square(self) -> bool:
-        """Whether its pixels are as wide as high."""
+        """Whether its pixels are square."""
         return abs(self.pixel_width - 1) < CONTAINER_LIMITS.square_within
 
     @property
@@ -97,20 +97,20 @@ class VideoInfo:
 
 @contextmanager
 def opened(address: str) -> Iterator[tuple["InputContainer", "VideoStream"]]:
-    """Open a video, and choose the stream that players show.
+    """Open a video, and select the stream that players show.
 
     Args:
         address: Path of a file, or an address on a server.
 
     Raises:
-        UserError: It is no video, its server does not answer, or FFmpeg cannot decode it.
+        UserError: It is not a video, its server does not answer, or FFmpeg cannot decode it.
     """
     import av
     from av.error import FFmpegError
 
     server = "://" in address
     options = _RTSP_OPTIONS if address.startswith("rtsp") else {}
-    # Named as a file: FFmpeg takes a name with a colon for an address.
+    # The prefix marks it as a file: FFmpeg treats a name with a colon as an address.
     name = address if server else f"file:{for_ffmpeg(address)}"
     try:
         container = av.open(
@@ -127,13 +127,13 @@ def opened(address: str) -> Iterator[tuple["InputContainer", "VideoStream"]]:
                 f"{shown_address(address)}: neither an image nor a video that can be opened (no video stream)"
             )
         stream = streams[0]
-        # Frame threads delay each frame of a live stream by several others.
+        # Frame threads would delay each frame of a live stream by several frames.
         stream.thread_type = "SLICE" if server else "AUTO"
         yield container, stream
 
 
 def shown_address(address: str) -> str:
-    """An address for messages: without the user and password that it may hold. Paths of files stay as they are."""
+    """Return an address for messages, without user and password. Paths of files are unchanged."""
     return CREDENTIALS_PATTERN.sub(r"\1", address) if "://" in address else address
 
 
@@ -142,7 +142,7 @@ def _reason(error: Exception) -> str:
 
 
 def _video_streams(container: "InputContainer") -> list["VideoStream"]:
-    """The streams of pictures, without covers; first the one that FFmpeg and players show."""
+    """Return the image streams, without covers; first the one that FFmpeg and players show."""
     from av.stream import Disposition
 
     streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
@@ -151,18 +151,18 @@ def _video_streams(container: "InputContainer") -> list["VideoStream"]:
         default = CONTAINER_LIMITS.default_stream_pixels if stream.disposition & Disposition.default else 0
         return stream.width * stream.height + default
 
-    return sorted(streams, key=size, reverse=True)  # equals stay in their order
+    return sorted(streams, key=size, reverse=True)  # stable for equal sizes
 
 
 def open_clip(address: str, fps: float | None = None) -> VideoInfo:
-    """Open a video to see what it says about itself.
+    """Open a video and read its properties.
 
     Args:
         address: Path of a file, or address on a server.
-        fps: The frame rate of a file whose own time stamps are missing or wrong; None: its time stamps count.
+        fps: Frame rate of a file with missing or wrong time stamps; None: use its time stamps.
 
     Raises:
-        UserError: It cannot be opened, or `fps` is given for what is on a server.
+        UserError: It cannot be opened, or `fps` is given for an address on a server.
     """
     with opened(address) as (container, stream):
         several = [f"{s.width}x{s.height}" for s in _video_streams(container)]
@@ -218,23 +218,23 @@ def open_clip(address: str, fps: float | None = None) -> VideoInfo:
 
 @dataclass(frozen=True)
 class _Packets:
-    """What the packets of a file say about its frames; none of them is decoded."""
+    """Properties of a file's frames from its packets, which are not decoded."""
 
     times_s: tuple[float, ...]
-    """Times of the shown frames since the first one, seconds; empty where some are missing or two are alike."""
+    """Times of the shown frames since the first one, seconds; empty if some are missing or two are equal."""
     stamps: tuple[int, ...]
-    """As in `VideoInfo`."""
+    """Time stamps as in `VideoInfo.stamps`."""
     count: int
     """Number of frames."""
     lost: int
-    """As in `VideoInfo`."""
+    """Number of missing frames as in `VideoInfo.lost`."""
     rate: float
-    """Frame rate to assume where there are no times, frames per second."""
+    """Frame rate to assume without times, frames per second."""
 
 
 def _look_through(container: "InputContainer", stream: "VideoStream") -> _Packets:
     """Read all packets of a file. Those that an edit list hides are not counted."""
-    # Of each packet only this: a file may be larger than the memory.
+    # Only these properties of a packet are kept, because a file may be larger than the memory.
     found = [(packet.pts, packet.is_discard) for packet in packets(container, stream) if packet.size]
     shown = [stamp for stamp, hidden in found if not hidden]
     unit = stream.time_base or Fraction(1, 1)
@@ -242,10 +242,10 @@ def _look_through(container: "InputContainer", stream: "VideoStream") -> _Packet
     steps = [(later - earlier) * unit for earlier, later in itertools.pairwise(stamps)]
     complete = len(stamps) == len(shown) and all(step > CONTAINER_LIMITS.same_s for step in steps)
     name = container.format.name
-    if name in _RAW_FORMATS or name.endswith("_pipe"):  # whose reader invents time stamps
+    if name in _RAW_FORMATS or name.endswith("_pipe"):  # their reader invents time stamps
         complete = False
     times = tuple(float((stamp - stamps[0]) * unit) for stamp in stamps) if complete else ()
-    # AVI numbers frames as they are decoded, not as they are shown.
+    # AVI numbers frames in decoding order, not in display order.
     reliable = complete and not (name == "avi" and stream.codec_context.has_b_frames)
     rate = float(stream.guessed_rate or CONTAINER_LIMITS.assumed_fps)
     lost = max(0, stream.frames - len(found)) if name.startswith(_LISTS_FRAMES) else 0
@@ -253,7 +253,7 @@ def _look_through(container: "InputContainer", stream: "VideoStream") -> _Packet
 
 
 def _gaps(times_s: Sequence[float]) -> list[tuple[float, float]]:
-    """Begin and end of the longest times without frames, seconds, in their order."""
+    """Return begin and end of the longest gaps without frames, seconds, in their order."""
     steps = np.diff(times_s)
     if not len(steps):
         return []

@@ -1,4 +1,4 @@
-"""Decoded frames of a video, in the order in which they are shown: RGB, upright, progressive, without broken ones."""
+"""Decode the frames of a video in display order: RGB, upright, progressive, without damaged ones."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DecodeLimits:
-    """Limits of reading damaged files."""
+    """Limits for reading damaged files."""
 
     retries: int = 20
     """Consecutive read errors after which a file counts as ended."""
     damaged_frames: int = 300
-    """Frames are used again this many frames after damage, also where no key frame came: some cameras send none."""
+    """Number of frames after damage at which frames are used again without a key frame: some cameras send none."""
 
 
 DECODE_LIMITS: Final = DecodeLimits()
@@ -33,12 +33,12 @@ DECODE_LIMITS: Final = DecodeLimits()
 def packets(
     container: "InputContainer", stream: "VideoStream", retries: int = DECODE_LIMITS.retries
 ) -> Iterator["Packet[VideoStream]"]:
-    """Packets of a stream up to its end, the empty one that ends it included.
+    """Yield the packets of a stream up to its end, including the empty packet that ends it.
 
     Args:
         container: The opened file or stream.
-        stream: The stream that is read.
-        retries: Number of consecutive read errors that end it.
+        stream: The stream to read.
+        retries: Number of consecutive read errors after which it counts as ended.
     """
     from av.error import FFmpegError
 
@@ -54,7 +54,7 @@ def packets(
 
 
 def decode_frames(container: "InputContainer", stream: "VideoStream") -> Iterator["VideoFrame"]:
-    """Decode frames from where the container is. Interlaced ones are made progressive; damaged ones are left out."""
+    """Decode frames from the container's position. Interlaced frames are made progressive; damaged ones are dropped."""
     decoder = Decoder(stream)
     for packet in packets(container, stream):
         yield from decoder.frames_of(packet)
@@ -64,23 +64,23 @@ def decode_frames(container: "InputContainer", stream: "VideoStream") -> Iterato
 class Decoder:
     """Decodes the packets of a stream to progressive frames without damage.
 
-    A frame that is damaged, or whose packet cannot be decoded, is left out. So are the frames after it up to the next
-    key frame: they are made from it.
+    A frame that is damaged, or has a packet that cannot be decoded, is dropped. The frames after it up to the next key
+    frame are also dropped, because they depend on it.
     """
 
     def __init__(self, stream: "VideoStream") -> None:
         """`stream` must not have been decoded yet."""
         self.damaged = 0
-        """Number of frames that were left out."""
+        """Number of dropped frames."""
         self._stream, self._fields = stream, Deinterlacer()
         self._since_damage: int | None = None
         self._suspect: int | None = None
-        """Time stamp of the newest packet of which a part was lost on the way."""
-        # Damage is reported in place of a frame that was patched up.
+        """Time stamp of the newest packet that is incomplete."""
+        # Damage is reported instead of a concealed frame.
         stream.codec_context.options = {"err_detect": "explode"}
 
     def frames_of(self, packet: "Packet[VideoStream] | None") -> Iterator["VideoFrame"]:
-        """Yield the frames that a packet completes; None: those that are left at the end of the stream."""
+        """Yield the frames that a packet completes; None: the remaining frames at the end of the stream."""
         from av.error import EOFError as EndError
         from av.error import FFmpegError
 
@@ -88,7 +88,7 @@ class Decoder:
             self._suspect = packet.pts
         try:
             frames = self._stream.decode(packet)
-        except EndError:  # it was told before
+        except EndError:  # the end was signalled before
             frames = []
         except FFmpegError:
             frames = []
@@ -118,7 +118,7 @@ class Decoder:
 class Deinterlacer:
     """Makes interlaced frames progressive (FFmpeg's bwdif), from the first interlaced frame on.
 
-    Frames come out in their order and with their time stamps. The filter keeps a frame until the next one has come.
+    Frames keep their order and time stamps. The filter holds a frame until the next one arrives.
     """
 
     def __init__(self) -> None:
@@ -127,7 +127,7 @@ class Deinterlacer:
         self._waiting: deque[VideoFrame] = deque()
 
     def add(self, frame: "VideoFrame") -> Iterator["VideoFrame"]:
-        """Put a frame in; yields those that are ready."""
+        """Add a frame; yield those that are ready."""
         form = (frame.width, frame.height, frame.format.name)
         if self._graph is not None and form != self._form:
             yield from self.end()
@@ -141,7 +141,7 @@ class Deinterlacer:
         yield from self._ready()
 
     def end(self) -> Iterator["VideoFrame"]:
-        """Yield the frames that are still in the filter, and forget it."""
+        """Yield the frames that are still in the filter, and reset it."""
         if self._graph is not None:
             self._graph.push(None)
             yield from self._ready()
@@ -177,14 +177,14 @@ def _filter(frame: "VideoFrame") -> Any:
 
 
 def rgb_of(frame: "VideoFrame") -> Pixels:
-    """(H, W, 3) RGB of a frame, turned upright by whole quarters as its container says."""
+    """Return (H, W, 3) RGB of a frame, rotated upright in quarter turns as its container states."""
     pixels = frame.to_ndarray(format="rgb24")
     quarters = _quarters(frame)
     return np.ascontiguousarray(np.rot90(pixels, quarters)) if quarters else np.asarray(pixels, dtype=np.uint8)
 
 
 def shown_size(frame: "VideoFrame") -> tuple[int, int]:
-    """Width and height of a frame when it is upright, pixels."""
+    """Return width and height of an upright frame, pixels."""
     return (frame.height, frame.width) if _quarters(frame) % 2 else (frame.width, frame.height)
 
 
@@ -193,12 +193,12 @@ def _quarters(frame: "VideoFrame") -> int:
 
 
 def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether two sizes (width, height) have one aspect ratio, within a pixel of the smaller one."""
+    """Return whether two sizes (width, height) have one aspect ratio, within a pixel of the smaller one."""
     return abs(size[0] * other[1] - size[1] * other[0]) <= max(*size, *other)
 
 
 def fitted(pixels: Pixels, size: tuple[int, int]) -> Pixels | None:
-    """Pixels scaled to a size (width, height) of the same shape; None where the shape is another."""
+    """Scale pixels to a size (width, height) of the same aspect ratio; None if the aspect ratio differs."""
     height, width = pixels.shape[:2]
     if (width, height) == size:
         return pixels

@@ -1,4 +1,4 @@
-"""Frames of images, folders, globs, videos and streams, one after another, with their times."""
+"""Frames of images, folders, globs, videos and streams in order, with their times."""
 
 import bisect
 import contextlib
@@ -34,29 +34,29 @@ _GLOB_CHARS: Final = frozenset("*?[")
 
 @dataclass(frozen=True)
 class FootageLimits:
-    """Limits of seeking and of frame rates."""
+    """Limits for seeking and for frame rates."""
 
     seek_frames: int = 50
-    """Decoding this many frames takes as long as seeking past them."""
+    """Number of frames that take as long to decode as to seek past."""
     most_fps: float = 1000.0
-    """Largest frame rate."""
+    """Maximum frame rate, frames per second."""
     rounded_s: float = 0.5
-    """Containers may list this much more than they hold, and packets be this many more than frames, seconds."""
+    """Maximum excess of listed over contained duration, and of packets over frames, that is not reported, seconds."""
 
 
 FOOTAGE_LIMITS: Final = FootageLimits()
 
 
 FOUND_AT: Final = "found_at"
-"""Field of `info` in the file of frames: the way from its folder to the video, or to the folder of the images."""
+"""Field of `info` in the file of frames: path from its folder to the video, or to the folder of the images."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameRange:
-    """The part of a source that is wanted."""
+    """Part of a source to read."""
 
     every: int = 1
-    """Step between the frames that are taken."""
+    """Frame stride: 1 takes every frame, 5 every fifth."""
     start_s: float = 0.0
     end_s: float = math.inf
 
@@ -69,22 +69,22 @@ class FrameRange:
 
 @dataclass
 class Footage(ABC):
-    """A source of frames. Going over it again gives the same frames, unless it is a live stream."""
+    """Source of frames. Iterating again gives the same frames, unless it is a live stream."""
 
     name: str
     cut: FrameRange = field(default_factory=FrameRange)
     skipped: list[str] = field(default_factory=list)
-    """Lines on images that could not be read."""
+    """Messages on images that could not be read."""
     notes: list[str] = field(default_factory=list)
-    """Lines on assumptions, and on what happened to a live stream."""
+    """Messages on assumptions, and on events of a live stream."""
     broken_off: str = ""
-    """Why a live stream ended before `cut`; empty where it did not."""
+    """Reason why a live stream ended before `cut`; empty if it did not."""
     images: tuple[Path, ...] = ()
     """Image files, in order; empty for a video or stream."""
     clip: VideoInfo | None = None
-    """What the video or stream says about itself; None for image files."""
+    """Properties of the video or stream; None for image files."""
     start_time: datetime | None = None
-    """Time of second 0 of a live stream, by this computer's clock, once its first frame has come; else None."""
+    """Time of second 0 of a live stream by this computer's clock, once its first frame has arrived; else None."""
 
     @property
     def live(self) -> bool:
@@ -93,37 +93,37 @@ class Footage(ABC):
 
     @property
     def one_size(self) -> bool:
-        """Whether all frames have one size, as those of a video."""
+        """Whether all frames have one size, as in a video."""
         return True
 
     @property
     def names(self) -> list[str]:
-        """Names of the images: their paths inside the folder that holds them all."""
+        """Names of the images: their paths relative to their common folder."""
         return []
 
     @property
     @abstractmethod
     def place(self) -> Path | None:
-        """The video file, or the folder that the images' names are relative to; None for what is on a server."""
+        """The video file, or the folder that the images' names are relative to; None for a source on a server."""
 
     @property
     @abstractmethod
     def fps(self) -> float | None:
-        """Frames a second after the cut; None for images, and for a live stream, whose frames come as they can."""
+        """Frames per second after the cut; None for images, and for a live stream with its irregular frames."""
 
     @abstractmethod
     def __len__(self) -> int:
-        """Number of frames, as far as the source says; 0: unknown."""
+        """Return the number of frames, if the source states it; 0: unknown."""
 
     @abstractmethod
     def frames(self, first: int = 0) -> Iterator[tuple[Image, Pixels]]:
-        """Frames with their pixels (H, W, 3) RGB, numbered from 1 as `Image.id`; `first` of them are left out.
+        """Yield frames with their pixels (H, W, 3) RGB, numbered from 1 as `Image.id`, without the `first` ones.
 
-        What cannot be read is noted in `skipped`, and keeps its number.
+        Unreadable frames are noted in `skipped`, and keep their numbers.
         """
 
     def frame_size(self) -> tuple[int, int] | None:
-        """Width and height of the first frame, pixels; None for a live stream, and where no frame can be read."""
+        """Return width and height of the first frame, pixels; None for a live stream, or if no frame can be read."""
         if self.live:
             return None
         if self.clip is not None and self.clip.size is not None:
@@ -133,7 +133,7 @@ class Footage(ABC):
         return None
 
     def _skip(self, reason: str) -> None:
-        if reason not in self.skipped:  # going over the frames again meets the same reasons
+        if reason not in self.skipped:  # another iteration finds the same reasons
             self.skipped.append(reason)
 
 
@@ -173,7 +173,7 @@ class ImageFiles(Footage):
 
 @dataclass
 class VideoFootage(Footage):
-    """Base of what is read through a `VideoInfo`."""
+    """Base of footage that is read through a `VideoInfo`."""
 
     clip: VideoInfo = field(kw_only=True)
 
@@ -197,14 +197,14 @@ class VideoFootage(Footage):
 
 
 class RecordedVideo(VideoFootage):
-    """A video file on this machine: the times of all frames are known beforehand."""
+    """Video file on this machine: the times of all frames are known beforehand."""
 
     def __len__(self) -> int:
         return len(self._wanted)
 
     @property
     def _wanted(self) -> range:
-        """Numbers of the frames that are wanted."""
+        """Numbers of the frames to read."""
         edges = (self.cut.start_s - CONTAINER_LIMITS.same_s, self.cut.end_s - CONTAINER_LIMITS.same_s)
         first, last = (bisect.bisect_left(self.clip.times_s, edge) for edge in edges)
         return range(first, last, self.cut.every)
@@ -231,7 +231,7 @@ class RecordedVideo(VideoFootage):
                         yield _image(number, f"{self.name}/{at:06d}", pixels, at, clip.times_s[at]), pixels
                 if not left:
                     break
-        # Counted frames may be fewer than packets: some encoders write packets of frames that repeat the one before.
+        # Fewer frames than packets may be counted, because some encoders write packets that repeat a frame.
         if clip.stamps or len(left) * self.cut.every > clip.rate * FOOTAGE_LIMITS.rounded_s:
             self._note_missing([at for _, at in left])
         if clip.lost > clip.rate * FOOTAGE_LIMITS.rounded_s and self.cut.end_s > clip.times_s[-1]:
@@ -247,7 +247,7 @@ class RecordedVideo(VideoFootage):
 
 
 class ServerVideo(VideoFootage):
-    """A video file on a server: it comes once from its begin, and each frame carries its time."""
+    """Video file on a server: it is read once from its start, and each frame carries its time."""
 
     def frames(self, first: int = 0) -> Iterator[tuple[Image, Pixels]]:
         clip, number, begin, time_s = self.clip, 0, 0, -1 / self.clip.rate
@@ -274,7 +274,7 @@ class ServerVideo(VideoFootage):
 
 
 class LiveStream(VideoFootage):
-    """A stream whose frames come when they come, and only once."""
+    """Stream of frames that arrive irregularly, and only once."""
 
     @property
     def live(self) -> bool:
@@ -307,13 +307,13 @@ class LiveStream(VideoFootage):
                 self.notes.append(f"{self.name}: {record}")
 
     def _tell(self, record: StreamRecord, told: int) -> int:
-        """Add the events from number `told` on to the notes; returns the number of events."""
+        """Add the events from number `told` on to the notes; return the number of events."""
         self.notes += [f"{self.name}: {event}" for event in record.events[told:]]
         return len(record.events)
 
 
 def _of_clip(name: str, cut: FrameRange, clip: VideoInfo) -> VideoFootage:
-    """The footage of a video file or stream."""
+    """Return the footage of a video file or stream."""
     notes = [f"{shown_address(clip.address)} {note}" for note in clip.notes]
     if clip.live:
         return LiveStream(name, cut, clip=clip, notes=notes)
@@ -326,8 +326,8 @@ def open_footage(source: str, cut: FrameRange | None = None, *, fps: float | Non
 
     Args:
         source: An image, a folder of images, a glob, a video file, or the address of a stream.
-        cut: The frames that are wanted; None: all.
-        fps: Frame rate of a video file whose time stamps are missing or wrong; None: its time stamps count.
+        cut: The part to read; None: all.
+        fps: Frame rate of a video file with missing or wrong time stamps; None: use its time stamps.
 
     Raises:
         UserError: `source` is none of these, or cannot be opened; or `fps` does not fit it.
@@ -339,7 +339,7 @@ def open_footage(source: str, cut: FrameRange | None = None, *, fps: float | Non
         return _of_clip("stream", cut, open_clip(source, fps))
     footage = _on_this_machine(source, cut, fps)
     if fps is not None and footage.clip is None:
-        raise UserError(f"--fps: {source} is no video; images have no times")
+        raise UserError(f"--fps: {source} is not a video; images have no times")
     for image, name in zip(footage.images, footage.names, strict=True):
         if not safe_names.is_relative(name):
             raise UserError(f"{str(image)!r}: no name for a dataset (control characters, backslashes)")
@@ -368,10 +368,10 @@ def _on_this_machine(source: str, cut: FrameRange, fps: float | None) -> Footage
 
 
 def _numbered(clip: VideoInfo, first: int) -> Generator[tuple[int, "VideoFrame"]]:
-    """Frames of a file with their numbers, from number `first` on or somewhat before."""
+    """Yield frames of a file with their numbers, from number `first` on or slightly before."""
     if clip.stamps and first >= FOOTAGE_LIMITS.seek_frames:
         with opened(clip.address) as (container, stream):
-            # Two frames more, which the filter for interlaced ones looks back at.
+            # Two more frames, which the deinterlacing filter needs.
             container.seek(clip.stamps[first - 2], stream=stream)
             frames = _by_stamp(clip, decode_frames(container, stream))
             reached = next(frames, None)
@@ -385,7 +385,7 @@ def _numbered(clip: VideoInfo, first: int) -> Generator[tuple[int, "VideoFrame"]
 
 
 def _by_stamp(clip: VideoInfo, frames: Iterator["VideoFrame"]) -> Iterator[tuple[int, "VideoFrame"]]:
-    """Frames with their numbers by their time stamps. Frames with unknown ones are left out."""
+    """Yield frames with their numbers by time stamp. Frames with unknown time stamps are dropped."""
     numbers = {stamp: number for number, stamp in enumerate(clip.stamps)}
     for frame in frames:
         number = numbers.get(frame.pts) if frame.pts is not None else None

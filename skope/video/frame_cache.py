@@ -1,4 +1,4 @@
-"""Frames of a video in any order, though most are asked for one after another."""
+"""Random access to the frames of a video, optimised for mostly sequential access."""
 
 import threading
 from collections import OrderedDict
@@ -22,17 +22,17 @@ class CacheSize:
     frames: int = 32
     """Number of frames that are kept."""
     before: int = 8
-    """Number of frames before a jump's target that are kept too. Going back needs them next, and a jump is slow."""
+    """Number of frames before a jump's target that are kept, too. Going back needs them next, and a jump is slow."""
 
 
 CACHE_SIZE: Final = CacheSize()
 
 
 class FrameCache(Generic[Encoded]):
-    """Frames of a video file as `encode` makes them; several threads may ask at a time."""
+    """Frames of a video file as encoded by `encode`; safe for several threads."""
 
     def __init__(self, path: Path, encode: Callable[[Pixels], Encoded]) -> None:
-        """`encode` turns (H, W, 3) RGB into what is kept of a frame.
+        """`encode` converts (H, W, 3) RGB to the cached form of a frame.
 
         Raises:
             UserError: The file cannot be opened.
@@ -41,12 +41,12 @@ class FrameCache(Generic[Encoded]):
         self._footage = open_footage(str(path))
         self._frames: Iterator[tuple[Image, Pixels]] = iter(())
         self._next = -1
-        """Index of the frame that comes next; -1 where none has been decoded."""
+        """Index of the next frame; -1 if none has been decoded."""
         self._kept: OrderedDict[int, Encoded] = OrderedDict()
         self._lock = threading.Lock()
 
     def frame(self, image: Image) -> Encoded:
-        """The frame with the image's `frame_index`.
+        """Return the frame with the image's `frame_index`.
 
         Raises:
             UserError: It cannot be decoded, or the image has no index.
@@ -61,7 +61,7 @@ class FrameCache(Generic[Encoded]):
             return self._kept[index]
 
     def _decode(self, index: int) -> None:
-        """Keep a frame, and those shortly before it that are decoded on the way."""
+        """Cache a frame, and those shortly before it that are decoded on the way."""
         if not 0 <= self._next <= index <= self._next + FOOTAGE_LIMITS.seek_frames:
             begin = max(0, index - CACHE_SIZE.before)
             self._frames, self._next = self._footage.frames(begin), begin

@@ -1,4 +1,4 @@
-"""Frames of a live stream: the newest one whenever one is asked for, so that a slow reader does not fall behind."""
+"""Frames of a live stream: each request returns the newest frame, so that a slow reader does not fall behind."""
 
 import contextlib
 import itertools
@@ -23,45 +23,45 @@ class LiveLimits:
     """Waiting times and clocks of live streams."""
 
     return_s: float = 10.0
-    """A stream that broke off is waited for this long, seconds."""
+    """Maximum time to wait for a stream that broke off, seconds."""
     pause_s: float = 1.0
     """Time between two attempts to connect, seconds."""
     patience_s: float = 7.0
-    """The end waits this long for the reading thread, seconds: longer than the network may be silent."""
+    """Maximum time to wait for the reading thread at the end, seconds: longer than the network may be silent."""
     agree_s: float = 0.5
-    """A camera's time stamp agrees with the arrival of its frame if it is ahead by less than this, seconds."""
+    """Maximum time by which a camera's time stamp may be ahead of the frame's arrival, seconds."""
     late_s: float = 5.0
-    """A frame may arrive this long after its time stamp says, seconds: a network that stalled delivers late."""
+    """Maximum delay of a frame's arrival after its time stamp, seconds: a stalled network delivers late."""
     drift_window_s: float = 20.0
-    """If all frames of this time arrive late, the camera's clock is slow, seconds."""
+    """Duration after which the camera's clock counts as slow if all frames arrive late, seconds."""
     steady_frames: int = 5
-    """Consecutive frames whose time stamps agree with each other, but not with the clock so far: the clock was set."""
+    """Number of consecutive frames with consistent time stamps that differ from the clock so far: the clock was set."""
     stamp_round_s: float = 2**32 / 90_000
-    """Time stamps of video over RTP begin anew after this time, seconds (RFC 3551: 32 bits, 90 kHz)."""
+    """Period after which time stamps of video over RTP wrap around, seconds (RFC 3551: 32 bits, 90 kHz)."""
     least_step_s: float = 1e-3
-    """Times of two frames differ by at least this, seconds."""
+    """Minimum difference between the times of two frames, seconds."""
 
 
 LIVE_LIMITS: Final = LiveLimits()
 
 
 class BrokenOffError(Exception):
-    """A stream has ended, cannot be reached any more, or sends frames of another shape."""
+    """Stream that has ended, is unreachable, or sends frames of another aspect ratio."""
 
 
 class Frame(NamedTuple):
-    """A frame of a stream."""
+    """Frame of a stream."""
 
     number: int
     """Number of frames that arrived before it."""
     time_s: float
-    """Seconds since the first frame."""
+    """Time since the first frame, seconds."""
     pixels: Pixels
     """(H, W, 3) RGB, in the size of the first frame."""
 
 
 class _Arrived(NamedTuple):
-    """A frame that is not converted yet: most are passed over."""
+    """Frame that is not converted yet, because most frames are passed over."""
 
     number: int
     time_s: float
@@ -70,18 +70,18 @@ class _Arrived(NamedTuple):
 
 
 class CameraClock:
-    """Times of frames: those of their arrival, with the camera's intervals as long as they agree with it.
+    """Times of frames: those of their arrival, refined by the camera's intervals while both agree.
 
-    Arrival is late by what the network takes, which varies; a camera's time stamps are even, but clocks are set, and
-    single time stamps are wrong. A time stamp is believed while it puts the frame before its arrival, by
-    `LIVE_LIMITS.late_s` at most. The smallest delay so far is taken for none.
+    The network delays arrivals by a varying time. A camera's time stamps are regular, but clocks are set, and single
+    time stamps are wrong. A time stamp is accepted if it puts the frame at most `LIVE_LIMITS.late_s` before its
+    arrival. The smallest delay so far counts as zero.
     """
 
     def __init__(self) -> None:
         self.steps: list[tuple[float, float]] = []
-        """Times at which the camera's clock was set, and by how much, seconds."""
+        """Times at which the camera's clock was set, and the size of each step, seconds."""
         self.strays = 0
-        """Number of frames whose time stamp was not believed and which did not become a step."""
+        """Number of frames with a rejected time stamp that did not become a step."""
         self.last_s = -1.0
         """Time of the last frame, seconds."""
         self._offset_s: float | None = None
@@ -90,16 +90,16 @@ class CameraClock:
         self._doubted: list[tuple[float, float]] = []
 
     def restart(self) -> None:
-        """Forget the camera's clock: it begins anew when a stream is opened again."""
+        """Reset the camera's clock, which restarts when a stream is opened again."""
         self._offset_s = None
         self._delays.clear()
         self._doubted.clear()
 
     def time_of(self, stamp_s: float | None, arrived_s: float) -> float:
-        """Time of a frame, seconds; it rises from frame to frame.
+        """Return the time of a frame, seconds; it rises from frame to frame.
 
         Args:
-            stamp_s: The camera's time stamp, seconds; None where there is none.
+            stamp_s: The camera's time stamp, seconds; None if there is none.
             arrived_s: Time of arrival, seconds since the first frame.
         """
         time_s = arrived_s if stamp_s is None else self._believed(stamp_s, arrived_s)
@@ -118,7 +118,7 @@ class CameraClock:
             self._delays.append((arrived_s, delay_s))
             while arrived_s - self._delays[0][0] > LIVE_LIMITS.drift_window_s:
                 self._delays.popleft()
-            # No frame arrives before it was taken; and if all are late, the clock is slow.
+            # No frame arrives before it was taken. If all are late, the clock is slow.
             full = arrived_s - self._delays[0][0] > LIVE_LIMITS.drift_window_s / 2
             correction = min(delay_s, 0.0) or (min(delay for _, delay in self._delays) if full else 0.0)
             if correction:
@@ -130,7 +130,7 @@ class CameraClock:
         pairs = list(itertools.pairwise(recent))
         steady = all(b[0] > a[0] and abs((b[0] - a[0]) - (b[1] - a[1])) < LIVE_LIMITS.agree_s for a, b in pairs)
         if len(recent) == LIVE_LIMITS.steady_frames and steady:
-            # FFmpeg takes a step back for the rest of a round forward.
+            # FFmpeg interprets a step back as a step forward by the rest of a period.
             self.steps.append(
                 (
                     arrived_s,
@@ -149,31 +149,31 @@ class CameraClock:
 
 @dataclass
 class StreamRecord:
-    """What happened to a stream while it was read."""
+    """Statistics and events of a stream while it was read."""
 
     received: int = 0
-    """Frames that arrived whole."""
+    """Number of frames that arrived undamaged."""
     taken: int = 0
-    """Frames that were analysed, as the caller counts them; the others were passed over."""
+    """Number of analysed frames, as the caller counts them; the others were passed over."""
     damaged: int = 0
-    """Frames that arrived damaged, and were dropped."""
+    """Number of frames that arrived damaged and were dropped."""
     strays: int = 0
-    """Frames whose time stamps were not believed; their times are those of arrival."""
+    """Number of frames with rejected time stamps; their times are those of arrival."""
     last_s: float = 0.0
     """Time of the last frame, seconds."""
     events: list[str] = field(default_factory=list)
-    """Interruptions and changes, a line each."""
+    """Interruptions and changes, one line each."""
 
     def __str__(self) -> str:
         passed = self.received - self.taken
         line = f"{self.received} frames received, {self.taken} analysed, {passed} passed over"
         line += f", {self.damaged} damaged" if self.damaged else ""
         line += f"; {self.taken / self.last_s:.1f} analysed per second" if self.last_s > 1 else ""
-        return line + (f"; {self.strays} time stamps were not believed" if self.strays else "")
+        return line + (f"; {self.strays} time stamps were rejected" if self.strays else "")
 
 
 class _Newest:
-    """Holds the newest frame: each frame takes the place of the one before."""
+    """Holds the newest frame; each frame replaces the previous one."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -192,7 +192,7 @@ class _Newest:
             self._changed.notify()
 
     def take(self) -> _Arrived | None:
-        """The newest frame, waited for; None when there are no more. Raises what the reader met."""
+        """Wait for and return the newest frame; None if there are no more. Raises the reader's exception."""
         with self._changed:
             self._changed.wait_for(lambda: self._frame is not None or self.ended)
             frame, self._frame = self._frame, None
@@ -202,18 +202,18 @@ class _Newest:
 
 
 def stream_frames(address: str, every: int, record: StreamRecord) -> Generator[Frame]:
-    """Every `every`-th frame of a stream as far as the caller keeps up; the others are passed over.
+    """Yield every `every`-th frame of a stream as far as the caller keeps up; the others are passed over.
 
     Args:
-        address: Address of the stream. It is opened again when it breaks off.
-        every: Step between the frames that are taken.
-        record: Is kept up to date.
+        address: Address of the stream. It is opened again after an interruption.
+        every: Frame stride.
+        record: Statistics, updated in place.
 
     Yields:
         The newest frame whenever the caller asks for one.
 
     Raises:
-        BrokenOffError: The stream broke off and did not come back, or its frames have another shape.
+        BrokenOffError: The stream broke off and did not come back, or its frames have another aspect ratio.
     """
     newest = _Newest()
     reader = threading.Thread(target=_Reader(address, every, newest, record).run, daemon=True)
@@ -229,7 +229,7 @@ def stream_frames(address: str, every: int, record: StreamRecord) -> Generator[F
 
 
 class _Reader:
-    """Reads a stream in a thread of its own, through all its interruptions."""
+    """Reads a stream in its own thread, across interruptions."""
 
     def __init__(self, address: str, every: int, newest: _Newest, record: StreamRecord) -> None:
         self._address, self._every, self._newest, self._record = address, every, newest, record
@@ -239,17 +239,17 @@ class _Reader:
         self._last_size: tuple[int, int] | None = None
 
     def run(self) -> None:
-        """Read until nobody wants the stream, or it is gone."""
+        """Read until the consumer has ended or the stream is gone."""
         try:
             self._drain()
             while not self._newest.ended:
                 self._come_back()
             self._newest.end()
-        except Exception as error:  # raised again where the frames are taken
+        except Exception as error:  # raised again in the thread that takes the frames
             self._newest.end(error)
 
     def _come_back(self) -> None:
-        """Open a stream that broke off again; a BrokenOffError where it sends nothing within `LIVE_LIMITS.return_s`."""
+        """Reopen a stream that broke off; raise BrokenOffError without data within `LIVE_LIMITS.return_s`."""
         record, begun, before = self._record, time.monotonic(), self._record.received
         while time.monotonic() - begun < LIVE_LIMITS.return_s and not self._newest.ended:
             with contextlib.suppress(UserError):
@@ -263,11 +263,11 @@ class _Reader:
             )
 
     def _drain(self) -> None:
-        """Read one opening of the stream until it ends, falls silent, or nobody wants it."""
+        """Read one connection until the stream ends or falls silent, or the consumer has ended."""
         with opened(self._address) as (container, stream):
             came_back = self._record.received > 0
             self._clock.restart()
-            # Time stamps of images over HTTP are invented by the reader.
+            # The reader invents the time stamps of images over HTTP.
             unit = stream.time_base if self._address.startswith("rtsp") else None
             decoder = Decoder(stream)
             damaged_before = self._record.damaged
@@ -301,7 +301,7 @@ class _Reader:
             self._newest.put(_Arrived(number, time_s, frame, self._first_size))
 
     def _check_size(self, size: tuple[int, int], time_s: float) -> None:
-        """Report a new size; a BrokenOffError for another shape."""
+        """Report a new size; raise BrokenOffError for another aspect ratio."""
         first = self._first_size = self._first_size or size
         if size != (self._last_size or first):
             change = f"frames are {size[0]}x{size[1]} from {time_s:.1f} s on, {first[0]}x{first[1]} before"

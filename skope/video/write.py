@@ -1,4 +1,4 @@
-"""Pictures written as a video file."""
+"""Write images as a video file."""
 
 import errno
 import itertools
@@ -26,20 +26,20 @@ VIDEO_FORMATS: Final[dict[str, tuple[str, str, str, dict[str, str]]]] = {
     ".mp4": ("mp4", "libx264", "yuv420p", {"preset": "veryfast", "crf": "20"}),
     ".avi": ("avi", "mjpeg", "yuvj420p", {"qmin": "2", "qmax": "2"}),
 }
-"""By a file's suffix: container, codec, how its pixels are kept, and the codec's options.
+"""Container, codec, pixel format and codec options by file suffix.
 
-H.264 is what browsers, office programs and players have in common. In MJPEG each frame stands alone.
+H.264 is supported by all browsers, office programs and players. In MJPEG each frame is independent.
 """
 
 
 @dataclass(frozen=True)
 class VideoCoding:
-    """Numbers of written videos."""
+    """Parameters of written videos."""
 
     denominator: int = 1001
-    """Frame rates are whole numbers, or over 1001 as those of television are."""
+    """Denominator of frame rates that are not whole numbers, as in television."""
     color_matrix: int = 6
-    """Matrix by which colours become light and chroma (ITU-T H.273): OpenCV reads all files so."""
+    """Colour matrix (ITU-T H.273): OpenCV reads all files with this one."""
     color_range: int = 1
     """Limited range of values (ITU-T H.273)."""
 
@@ -48,13 +48,13 @@ VIDEO_CODING: Final = VideoCoding()
 
 
 class VideoFile:
-    """A video that is being written, frame by frame."""
+    """Video that is being written frame by frame."""
 
     def __init__(self, file: "OutputContainer", stream: "VideoStream", size: tuple[int, int]) -> None:
         self._file, self._stream, self._size = file, stream, size
 
     def add(self, pixels: Pixels) -> None:
-        """Append a frame (H, W, 3) RGB of the video's size; where that is odd, its edge is repeated.
+        """Append a frame (H, W, 3) RGB of the video's size; if that is odd, its edge is repeated.
 
         Raises ValueError for a frame of another size or type.
         """
@@ -68,21 +68,21 @@ class VideoFile:
         self._file.mux(self._stream.encode(VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")))
 
     def end(self) -> None:
-        """Write the frames that are still being compared with others."""
+        """Write the frames that the encoder still holds."""
         self._file.mux(self._stream.encode())
 
 
 @contextmanager
 def create_video(path: Path, size: tuple[int, int], fps: float) -> Iterator[VideoFile]:
-    """Open a video file to write into: H.264 in an .mp4, MJPEG in an .avi.
+    """Open a video file for writing: H.264 in an .mp4, MJPEG in an .avi.
 
     Args:
         path: The file.
-        size: Width and height of the frames, pixels; an .mp4 is a pixel larger where they are odd.
-        fps: Frames a second.
+        size: Width and height of the frames, pixels; an odd size is a pixel larger in an .mp4.
+        fps: Frames per second.
 
     Raises:
-        UserError: The video cannot be written so.
+        UserError: The video cannot be written in this form.
         OSError: The file cannot be written.
     """
     import av
@@ -90,8 +90,8 @@ def create_video(path: Path, size: tuple[int, int], fps: float) -> Iterator[Vide
 
     container, codec, kept, options = VIDEO_FORMATS[path.suffix]
     try:
-        # Named as a file: FFmpeg takes some names for addresses. It writes by itself, as an interrupt that came while
-        # it calls Python would be lost.
+        # The prefix marks it as a file, because FFmpeg treats some names as addresses. FFmpeg writes the file itself,
+        # because an interrupt during a call back into Python would be lost.
         with av.open(f"file:{for_ffmpeg(path)}", "w", format=container) as file:
             stream: Any = file.add_stream(codec, rate=_rate(path, fps), options=options)
             even = container == "mp4"
@@ -107,30 +107,30 @@ def create_video(path: Path, size: tuple[int, int], fps: float) -> Iterator[Vide
             video.end()
     except FFmpegError as error:
         number = error.errno or 0
-        if number in errno.errorcode and number != errno.EINVAL:  # which a codec says of what it cannot write
+        if number in errno.errorcode and number != errno.EINVAL:  # EINVAL comes from a codec that rejects the input
             raise OSError(number, os.strerror(number), str(path)) from None
         raise UserError(f"{path}: cannot be written as a video ({error.strerror})") from None
 
 
 def _rate(path: Path, fps: float) -> Fraction:
-    """Frames a second as a fraction."""
+    """Return a frame rate in frames per second as a fraction."""
     if not (math.isfinite(fps) and fps > 0):
-        raise UserError(f"{path}: cannot be written as a video of {fps:g} frames a second")
+        raise UserError(f"{path}: cannot be written as a video of {fps:g} frames/s")
     if fps < 1:
         return 1 / Fraction(1 / float(fps)).limit_denominator(VIDEO_CODING.denominator)
     return Fraction(float(fps)).limit_denominator(VIDEO_CODING.denominator)
 
 
 def write_video(path: Path, frames: Iterable[Pixels], fps: float) -> None:
-    """Write frames as a video file, as `create_video` does; where there is no frame, nothing is written.
+    """Write frames as a video file, as `create_video` does; without frames nothing is written.
 
     Args:
         path: The file, .mp4 or .avi.
         frames: (H, W, 3) RGB, all of one size.
-        fps: Frames a second.
+        fps: Frames per second.
 
     Raises:
-        UserError: The video cannot be written so.
+        UserError: The video cannot be written in this form.
         OSError: The file cannot be written.
     """
     left = iter(frames)

@@ -136,7 +136,7 @@ def test_four_points_that_suit_two_cameras_give_the_likelier_one_and_hold_both()
     off = values_of(found.camera)[:5] - truth
     assert (np.abs(off) < 2 * np.sqrt(np.diag(found.covariance)[:5])).all()
     assert abs(off[4]) < 0.5
-    assert "suit another camera too" in found.warnings[0]
+    assert "a second camera fits the points" in found.warnings[0]
 
 
 def test_where_no_weights_can_be_told_there_is_no_fit() -> None:
@@ -243,7 +243,7 @@ def test_radii_that_hold_a_share() -> None:
 @pytest.mark.parametrize(
     ("evidence", "said"),
     [
-        (Evidence(SIZE), "nothing tells metres"),
+        (Evidence(SIZE), "the scale is unknown"),
         (Evidence(SIZE, points=marked_points(PIXELS[:3], on_road(PIXELS[:3]))), "expected 4 points or more, got 3"),
     ],
 )

@@ -104,7 +104,7 @@ def test_rope3d_intrinsics_and_plane(tmp_path: Path) -> None:
     same(camera, Camera(1920, 1080, read.K, pose))
     again = over_plane(-plane, position=(1.5, -2.0), yaw=math.atan2(0.8, 0.6))
     np.testing.assert_allclose(again, pose)
-    with pytest.raises(UserError, match="under the road"):
+    with pytest.raises(UserError, match="below the road"):
         over_plane([*plane[:3], -2.0], position=(0, 0), yaw=0)
 
 

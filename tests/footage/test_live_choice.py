@@ -51,7 +51,7 @@ def camera(fps: float) -> Frames:
         (4.0, ("exact", "quick"), "exact", ": exact runs (--checkpoint names another)"),
         (12.0, ("exact", "quick"), "quick", ": quick runs (--checkpoint names another)"),
         (5000.0, ("exact", "quick"), "quick", " are passed over"),
-        (12.0, ("exact",), "exact", "looks a second here: exact "),
+        (12.0, ("exact",), "exact", "detector speed on this machine, frames/s: exact "),
     ],
 )
 def test_the_first_one_that_keeps_up_looks(
@@ -81,7 +81,7 @@ def test_predict_says_how_fast_each_is_and_which_one_looks(skope: Any) -> None:
     with streams.mjpeg(31, 4) as address:
         code, out, err = skope("eval", "predict", address, "--end", "4", "--min-size", "96", "--out", "seen")
     assert code == 0, err
-    (line,) = [line for line in out.splitlines() if "looks a second here: " in line]
+    (line,) = [line for line in out.splitlines() if "detector speed on this machine, frames/s: " in line]
     assert all(f"{name} " in line for name in weights.BY_ACCURACY)
     assert line.startswith("the camera sends ")
     assert f": {read_json(Path('seen/frames.json'))['info']['detector']} runs" in line

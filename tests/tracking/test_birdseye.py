@@ -170,7 +170,7 @@ def test_footage_that_is_gone_is_told_and_tracks_are_written(skope: Any) -> None
     coco.write(Path("road.json"), replace(drive(1, 10), info={"video": "gone.mp4"}))
     code, out, _ = skope("eval", "track", "--annotations", "road.json", "--noise", 1, "--out", "t")
     assert code == 0
-    assert "birdseye.png does without a picture of the road: gone.mp4: no such file" in out
+    assert "birdseye.png has no picture of the road: gone.mp4: no such file" in out
     assert Path("t/birdseye.png").is_file()
 
 

@@ -306,7 +306,7 @@ def test_labels_are_followed_beside_vehicles_whose_files_stay_what_they_are(skop
         "eval", "track", "--annotations", "road.json", "--noise", 1, "--out", "t", "--video", "-q"
     )
     assert code == 0, error
-    assert "besides: 1 bicycle, 1 pedestrian" in said
+    assert "also: 1 bicycle, 1 pedestrian" in said
     plain = ("--annotations", "plain/road.json", "--noise", 1, "--out", "plain/t", "-q")
     assert skope("eval", "track", *plain)[0] == 0
     ours, theirs = files_of(Path("t")), files_of(Path("plain/t"))
@@ -358,7 +358,7 @@ def test_results_of_other_road_users_are_followed(skope: Any) -> None:
     call = ("--annotations", "road.json", "--predictions", "found.json")
     code, said, error = skope("eval", "track", *call, "--out", "t", "-q")
     assert code == 0, error
-    assert "besides: 1 pedestrian" in said
+    assert "also: 1 pedestrian" in said
     rows = rows_of(Path("t/tracks.csv"))
     assert {row["category"] for row in rows} == {"pedestrian"}
     assert {row["detected"] for row in rows} == {"1"}
@@ -367,7 +367,7 @@ def test_results_of_other_road_users_are_followed(skope: Any) -> None:
     assert {row["length"] for row in rows} == {""}
     code, said, _ = skope("eval", "track", *call, "--ground", "none", "--out", "u", "-q")
     assert code == 0
-    assert "bicycle, motorcycle, pedestrian: no tracks, which need to know where the road is" in said
+    assert "bicycle, motorcycle, pedestrian: no tracks, because the height of the road is unknown" in said
 
 
 def test_a_box_that_the_images_edge_cuts_says_nothing_of_the_feet(tmp_path: Path) -> None:

@@ -161,7 +161,7 @@ def test_degrees_and_back(longitude: float, latitude: float) -> None:
 @pytest.mark.parametrize(
     ("world", "says"),
     [
-        ("", "does not say where on the Earth"),
+        ("", "position on the Earth is missing"),
         (DEGREES + 'axes = "x south, y east"\n', "world.axes"),
         (GRID + "epsg = 25832\n", "world.epsg: 25832 is not the grid of UTM zone 32N"),
         ('[world]\norigin = { easting = 5e7, northing = 5e7 }\nutm_zone = "32N"\n', "too far from UTM zone 32N"),

@@ -553,7 +553,7 @@ def test_files_of_other_programs_are_written_beside_the_report(skope: Skope, tra
             "excel,word",
             "--export: expected some of excel, parquet, geojson, openlabel, otanalytics, ssam, sumo, got 'word'",
         ),
-        ("geojson", "the site does not say where on the Earth it is"),
+        ("geojson", "the site's position on the Earth is missing"),
         ("sumo", "no gate of the site has edges"),
     ],
 )

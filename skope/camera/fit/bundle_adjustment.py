@@ -1,17 +1,17 @@
-"""Bundle adjustment with vehicles in place of points: a camera, and vehicles seen from it, worked out at once.
+"""Bundle adjustment with vehicles in place of points: estimate a camera and the vehicles that it sees together.
 
-Unknown are
+The unknowns are
 
 - the camera over the level road z = 0: focal length, tilt, roll, height and the lens's first radial coefficient;
-- where keypoints are found beside where the shape space has them: offsets that all vehicles share, mirrored left and
-  right. Detectors and people mark a corner elsewhere than a model does, always to the same side;
-- of each vehicle its shape, one in all its views;
-- of each view the vehicle's place on the road and its heading.
+- the offsets of keypoints from their position in the shape space, shared by all vehicles and mirrored left and right.
+  Detectors and people mark a corner at another point than the model, always to the same side;
+- the shape of each vehicle, constant over its views;
+- the vehicle's position on the road and its heading in each view.
 
-Keypoints that the vehicle's own body hides do not count (`skope.pose.shape_model`), others as Cauchy's
-distribution has it. Levenberg and Marquardt's method takes views, then vehicles, out of the normal equations (Schur's
-complement, Triggs et al. 2000): what is left to solve is as small as the camera and the offsets, and the sum of a part
-for each vehicle, which says how differently single vehicles pull.
+Keypoints that the vehicle's own body hides do not count (`skope.pose.shape_model`). The others count with Cauchy's
+distribution. Levenberg and Marquardt's method eliminates views, then vehicles, from the normal equations (Schur's
+complement, Triggs et al. 2000). The remaining system has the size of the camera and the offsets. It is a sum with one
+part per vehicle, which also shows how much single vehicles disagree.
 """
 
 import math
@@ -32,7 +32,7 @@ from skope.pose.shape_model import Shapes, facing
 from skope.types import Array, Mask
 
 LARGEST_STEP: Final = np.array([0.3, 0.2, 0.1, 0.3, 0.05])
-"""Largest change of the camera's unknowns in a step."""
+"""Maximum change of the camera's unknowns per step."""
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,13 @@ class AdjustmentLimits:
     offset_m: float = 0.04
     """Standard deviation of a keypoint's offset from its body type, metres per axis."""
     hidden_cost: float = 6.0
-    """Cost of a keypoint that the body hides. Without it, cameras that see little would win."""
+    """Cost of a keypoint that the body hides. Without it, cameras that show few keypoints would win."""
     middle_offset_m: float = 0.001
     """Standard deviation of the lateral offset of a keypoint in the vehicle's plane of symmetry, metres."""
     behind_cost: float = 1e6
-    """Squared distance that stands for a keypoint behind the camera."""
+    """Squared distance assigned to a keypoint behind the camera."""
     view_cost_cap: float = 300.0
-    """Largest cost of a view while the body type is chosen."""
+    """Maximum cost of a view while the body type is chosen."""
     first_damping: float = 1e-3
     """Damping of the first step."""
     last_damping: float = 1e4
@@ -60,7 +60,7 @@ class AdjustmentLimits:
     least_gain: float = 0.01
     """The search ends after a round that lowers the cost by less than this."""
     shape_steps: int = 6
-    """Steps of a search for shapes and positions alone."""
+    """Number of steps of a search for shapes and positions alone."""
     visibility_steps: int = 3
     """Number of steps after which the hidden keypoints are determined again."""
     settled: float = 1e-5
@@ -70,7 +70,7 @@ class AdjustmentLimits:
 ADJUSTMENT_LIMITS: Final = AdjustmentLimits()
 
 START_ROAD: Final = Ground(height_sigma=0.03, tilt_sigma=math.radians(0.7))
-"""On it vehicles are placed before they are adjusted."""
+"""Road on which vehicles are placed before they are adjusted."""
 
 MIRROR_PAIRS: Final = sorted({tuple(sorted((i, other))) for i, other in enumerate(keypoints.FLIP)})
 """Keypoints with their mirror images. A keypoint in the plane of symmetry is its own."""
@@ -80,7 +80,7 @@ PAIR_OF_KEYPOINT: Final = np.array(
 """(33,) index into `MIRROR_PAIRS`."""
 _SIDE_SIGNS: Final = np.array([-1.0 if name.endswith("_right") else 1.0 for name in keypoints.NAMES])
 UNKNOWN_COUNT: Final = len(UNKNOWN_NAMES) + 3 * len(MIRROR_PAIRS)
-"""Number of unknowns of camera and shape."""
+"""Number of unknowns of the camera and the offsets."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,11 +92,11 @@ class VehicleViews:
     sigma_px: Array
     """(B,) standard deviation of a keypoint of probability 1, pixels."""
     vehicle: NDArray[np.intp]
-    """(B,) which vehicle each view shows, 0 to N - 1."""
+    """(B,) index of the vehicle in each view, 0 to N - 1."""
     size: tuple[int, int]
     """Width and height of the images, pixels."""
     shapes: Shapes
-    """The shapes that vehicles can have, with their keypoints where `found` marks them."""
+    """Possible shapes of vehicles, with the keypoints that `found` marks."""
 
     @property
     def count(self) -> int:
@@ -104,21 +104,21 @@ class VehicleViews:
         return int(self.vehicle.max(initial=-1)) + 1
 
     def take(self, rows: NDArray[np.intp]) -> Self:
-        """The views `rows`, each as of a vehicle of its own."""
+        """Return the views `rows`, each as a separate vehicle."""
         return replace(self, found=self.found[rows], sigma_px=self.sigma_px[rows], vehicle=np.arange(len(rows)))
 
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """Prior knowledge of a camera: cameras hang level, lenses distort a little."""
+    """Prior knowledge of a camera: cameras are roughly level, lenses distort a little."""
 
     center: Array = field(default_factory=lambda: np.zeros(len(UNKNOWN_NAMES)))
-    """(5,) of the unknowns."""
+    """(5,) means of the unknowns."""
     sigma: Array = field(default_factory=lambda: np.array([np.inf, np.inf, math.radians(3.0), np.inf, 0.05]))
-    """(5,) standard deviations about that; inf for what is free, 0 for what stays as it begins."""
+    """(5,) standard deviations of the unknowns; inf for free ones, 0 for fixed ones."""
 
     def precision(self, offset_sigma: Array) -> Array:
-        """(U,) inverse variances of all shared unknowns about what is known of them.
+        """Return (U,) prior inverse variances of all shared unknowns.
 
         `offset_sigma` (G, 3) are the standard deviations of the keypoints' offsets, metres.
         """
@@ -133,32 +133,32 @@ class Bundle:
     shared: Array
     """(5 + 3 G,) the camera's unknowns, then the offsets (G, 3) of groups of keypoints, metres in the vehicle frame."""
     kind: NDArray[np.intp]
-    """(N,) body types."""
+    """(N,) index of each vehicle's body type."""
     shape: Array
-    """(N, M) the shapes' numbers."""
+    """(N, M) shape parameters."""
     pose: Array
-    """(B, 3) place on the road (x, y, over the camera's height) and heading (radians) of each view."""
+    """(B, 3) position on the road (x, y, divided by the camera's height) and heading (radians) of each view."""
 
     @property
     def camera(self) -> Array:
-        """(5,) as `UNKNOWN_NAMES` names them."""
+        """(5,) camera's unknowns in the order of `UNKNOWN_NAMES`."""
         return self.shared[: len(UNKNOWN_NAMES)]
 
     def moved(self, shared: Array, shape: Array, pose: Array) -> Self:
-        """Values of the unknowns after a step.
+        """Return the values after a step.
 
         Args:
-            shared: (5 + 3 G,) added to the shared unknowns.
-            shape: (N, M) added to the shapes.
-            pose: (B, 3) added to the poses.
+            shared: (5 + 3 G,) step of the shared unknowns.
+            shape: (N, M) step of the shapes.
+            pose: (B, 3) step of the poses.
         """
         return replace(self, shared=self.shared + shared, shape=self.shape + shape, pose=self.pose + pose)
 
     def where(self, better: Mask, other: Self, vehicle: NDArray[np.intp]) -> Self:
-        """These values, but some vehicles' as in `other`.
+        """Return these values, with those of some vehicles from `other`.
 
         Args:
-            better: (N,) which vehicles are taken from `other`: body type, shape and the poses in their views.
+            better: (N,) whether to take a vehicle's body type, shape and poses from `other`.
             other: Values with the same shared unknowns.
             vehicle: (B,) the vehicle of each view.
         """
@@ -172,28 +172,28 @@ class Bundle:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """End of a search."""
+    """Result of a search."""
 
     bundle: Bundle
     precision: Array
-    """(U,) inverse variances of what was known of the shared unknowns beforehand."""
+    """(U,) prior inverse variances of the shared unknowns."""
     cost: float
-    """Twice the negative log of the probability, but for a constant; other shapes that are about as likely are counted
-    in (Laplace's approximation)."""
+    """Twice the negative log posterior, up to a constant. It integrates over shapes that are about as likely (Laplace's
+    approximation)."""
     squared: Array
     """(B, 33) squared distances between keypoints and bodies in the image, in variances."""
     counted: Mask
-    """(B, 33) which keypoints count."""
+    """(B, 33) whether a keypoint counts."""
     information: Array
-    """(N, U, U) of the shared unknowns, what each vehicle adds."""
+    """(N, U, U) information of each vehicle on the shared unknowns."""
     pull: Array
-    """(N, U) gradient of half the cost by the shared unknowns, of each vehicle."""
+    """(N, U) gradient of half the cost with respect to the shared unknowns, per vehicle."""
 
     def covariance(self) -> Array:
-        """(5, 5) of the camera's unknowns.
+        """Return the covariance (5, 5) of the camera's unknowns.
 
-        How differently single vehicles pull tells it, with what is known of the unknowns beforehand as one more
-        (the sandwich of Huber and White): keypoints of a vehicle are wrong together in all its views.
+        It follows from how much single vehicles disagree, with the prior as one more vehicle (the sandwich estimator of
+        Huber and White). The keypoints of a vehicle have common errors in all its views.
         """
         prior = np.diag(self.precision)
         inverse = np.linalg.inv(self.information.sum(axis=0) + prior)
@@ -204,10 +204,10 @@ class Solved:
 
 
 class BundleAdjustment:
-    """The search for the likeliest camera, shapes and places, given views of vehicles."""
+    """Search for the most likely camera, shapes and positions, given views of vehicles."""
 
     def __init__(self, views: VehicleViews, known: Known | None = None) -> None:
-        """`known` says what is known of the camera beforehand; None: what is so of any."""
+        """Prepare a search. `known` is the prior of the camera; None: the default prior."""
         known = known or Known()
         self._views, self._shapes = views, views.shapes
         self._directions = np.moveaxis(views.shapes.directions[:, :, :-1], 1, -1)  # (T, 33, 3, M)
@@ -221,7 +221,7 @@ class BundleAdjustment:
         self._prior = known.precision(_offset_sigma())
 
     def begun(self, camera: Array) -> Bundle:
-        """Vehicles placed under a camera (5,) in closed form, each of the body type whose mean fits its views."""
+        """Place vehicles under a camera (5,) in closed form, with the body type of the best-fitting mean shape."""
         starts = self._starts(camera)
         cost = self._by_vehicle(np.minimum(starts.cost, ADJUSTMENT_LIMITS.view_cost_cap)) - 2 * np.log(
             self._shapes.share
@@ -230,7 +230,7 @@ class BundleAdjustment:
         return self._placed(shared, starts, cost.argmin(axis=1))
 
     def refined(self, bundle: Bundle) -> Solved:
-        """Search on from a bundle, by turns for the body types and for all else."""
+        """Continue the search from a bundle, alternating between body types and all other unknowns."""
         best = self.solve(self.with_likeliest_types(bundle), ADJUSTMENT_LIMITS.most_steps)
         for _ in range(ADJUSTMENT_LIMITS.type_rounds):
             again = self.solve(self.with_likeliest_types(best.bundle), ADJUSTMENT_LIMITS.most_steps)
@@ -243,7 +243,7 @@ class BundleAdjustment:
         return best
 
     def solve(self, bundle: Bundle, steps: int) -> Solved:
-        """Search on from a bundle: camera, offsets, shapes and places, with the body types that it has."""
+        """Continue the search from a bundle for camera, offsets, shapes and positions, with fixed body types."""
         vehicle, damping = self._views.vehicle, np.full(self._views.count, ADJUSTMENT_LIMITS.first_damping)
         counted = self._counted(bundle)
         here = self._linearised(bundle, counted)
@@ -270,7 +270,7 @@ class BundleAdjustment:
         return Solved(bundle, self._prior, cost, here.squared, counted, parts.information, parts.pull)
 
     def with_likeliest_types(self, bundle: Bundle) -> Bundle:
-        """The same camera and offsets; of each vehicle the body type that is likeliest when its shape is fitted."""
+        """Return the bundle with the most likely body type of each vehicle after its shape is fitted."""
         starts = self._starts(bundle.camera)
         best, least = bundle, np.full(self._views.count, np.inf)
         for kind in range(len(self._shapes.types)):
@@ -281,7 +281,7 @@ class BundleAdjustment:
         return best
 
     def _fitted(self, bundle: Bundle) -> tuple[Bundle, Array]:
-        """The bundle with likelier shapes and places, and (N,) what each vehicle costs so."""
+        """Return the bundle with better shapes and positions, and (N,) the cost of each vehicle."""
         vehicle, still = self._views.vehicle, np.zeros(UNKNOWN_COUNT)
         damping = np.full(self._views.count, ADJUSTMENT_LIMITS.first_damping)
         counted = self._counted(bundle)
@@ -299,12 +299,12 @@ class BundleAdjustment:
         return bundle, self._whole(here, bundle)[1]
 
     def _whole(self, here: Linearised, bundle: Bundle) -> tuple[Parts, Array]:
-        """The normal equations' parts, not damped, and (N,) what each vehicle costs with shapes that are as likely."""
+        """Return the undamped parts of the normal equations, and (N,) costs that integrate over likely shapes."""
         parts = here.without_poses(self._views.vehicle, bundle.shape, np.zeros(self._views.count))
         return parts, here.vehicle_cost + parts.spread - 2 * np.log(self._shapes.share[bundle.kind])
 
     def _shared_step(self, parts: Parts, shared: Array, damping: float) -> Array:
-        """(U,) a damped step of the shared unknowns."""
+        """Return (U,) a damped step of the shared unknowns."""
         normal = parts.information.sum(axis=0) + np.diag(self._prior)
         normal += np.diag(damping * np.diag(normal) + 1e-9)
         pull = parts.pull.sum(axis=0) + self._prior * (shared - self._center)
@@ -334,7 +334,7 @@ class BundleAdjustment:
         return summed(values, self._views.vehicle, self._views.count)
 
     def _counted(self, bundle: Bundle) -> Mask:
-        """(B, 33) the keypoints that were found and that the bodies do not hide."""
+        """Return (B, 33) whether a keypoint was detected and is not hidden by the body."""
         kind, height = bundle.kind[self._views.vehicle], math.exp(bundle.shared[HEIGHT])
         u, v, heading = bundle.pose.T
         cos, sin = np.cos(heading), np.sin(heading)
@@ -342,7 +342,7 @@ class BundleAdjustment:
         return self._seen & facing(self._shapes, kind, self._shapes.mean[kind, :-1], eye)
 
     def unevenness(self, solved: Solved) -> float:
-        """Median distance of views from the road, up or down, and in standard deviations of their heights."""
+        """Return the median vertical distance of views from the road, in standard deviations of their heights."""
         here, count = self._linearised(solved.bundle, solved.counted, by="height"), len(self._views.found)
         parts = here.without_poses(np.arange(count), np.zeros((count, 0)), np.zeros(count))
         information = np.maximum(parts.information[:, 0, 0], 1e-12)
@@ -351,16 +351,16 @@ class BundleAdjustment:
     def _linearised(
         self, bundle: Bundle, counted: Mask, *, by: Literal["shared", "height", "nothing"] = "shared"
     ) -> Linearised:
-        """Costs and normal equations, beside pose and shape in the shared unknowns.
+        """Return costs and normal equations in pose, shape and shared unknowns.
 
-        In place of these `by` may say the height of each view over the road, the shapes being as they are.
+        `by` may replace the shared unknowns by the height of each view over the road, with fixed shapes.
         """
         views, camera = self._views, bundle.camera
         kind, height, focal = bundle.kind[views.vehicle], math.exp(camera[HEIGHT]), math.exp(camera[FOCAL])
         directions = self._directions[kind]
         body = self._shapes.mean[kind, :-1] + _offsets(bundle.shared)
         body = body + np.einsum("bkim,bm->bki", directions, bundle.shape[views.vehicle])
-        # Where the keypoints are on the road, and where in the image.
+        # Keypoints on the road and in the image.
         u, v, heading = bundle.pose.T
         R = np.zeros((len(kind), 3, 3))
         R[:, 0, 0] = R[:, 1, 1] = np.cos(heading)
@@ -375,7 +375,7 @@ class BundleAdjustment:
         each = np.where(counted, observations.cost(squared), ADJUSTMENT_LIMITS.hidden_cost * self._seen)
         vehicle_cost = self._by_vehicle(each.sum(axis=1)) + (bundle.shape**2).sum(axis=1)
         weight = np.where(counted & pictured.front, observations.weight(squared) / variance, 0.0)
-        # Derivatives of the image by a shift in the world, by the pose, by the shape.
+        # Derivatives of the image positions by a shift in the world, by the pose and by the shape.
         by_world = pictured.by_world()
         by_body = np.einsum("bkij,bjl->bkil", by_world, R)
         turned = np.stack([-body[..., 1], body[..., 0], np.zeros_like(body[..., 0])], axis=-1)
@@ -387,7 +387,7 @@ class BundleAdjustment:
             by_shape, by_shared = by_shape[..., :0], by_world[..., 2:]
         elif by == "shared":
             by_shared = np.zeros((*away.shape, UNKNOWN_COUNT))
-            # Places are multiples of the height, and grow with it.
+            # Positions are multiples of the camera's height, and grow with it.
             by_shared[..., : len(UNKNOWN_NAMES)] = by_camera(camera, views.size, world, foot)
             mirrored = np.stack([np.ones_like(_SIDE_SIGNS), _SIDE_SIGNS, np.ones_like(_SIDE_SIGNS)], axis=-1)
             column = len(UNKNOWN_NAMES) + 3 * PAIR_OF_KEYPOINT[:, None] + np.arange(3)
@@ -397,14 +397,14 @@ class BundleAdjustment:
 
 
 def _offset_sigma() -> Array:
-    """(G, 3) standard deviations of the keypoints' offsets, metres."""
+    """Return (G, 3) standard deviations of the keypoints' offsets, metres."""
     sigma = np.full((len(MIRROR_PAIRS), 3), ADJUSTMENT_LIMITS.offset_m)
     sigma[[one == other for one, other in MIRROR_PAIRS], 1] = ADJUSTMENT_LIMITS.middle_offset_m
     return sigma
 
 
 def _offsets(shared: Array) -> Array:
-    """(33, 3) the offset of each keypoint in the vehicle frame, metres."""
+    """Return (33, 3) the offset of each keypoint in the vehicle frame, metres."""
     offsets = shared[len(UNKNOWN_NAMES) :].reshape(-1, 3)[PAIR_OF_KEYPOINT]
     offsets[:, 1] *= _SIDE_SIGNS
     return np.asarray(offsets)

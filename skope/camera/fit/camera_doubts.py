@@ -1,4 +1,4 @@
-"""Whether a camera that was worked out from vehicles holds together; if not, why not, in a sentence."""
+"""Check whether a camera estimated from vehicles is plausible; if not, give the reason in a sentence."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -17,46 +17,46 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class DoubtLimits:
-    """Limits beyond which a camera found from vehicles is rejected."""
+    """Limits beyond which a camera estimated from vehicles is rejected."""
 
     least_agreement: float = 0.92
-    """Smallest share of the visible keypoints that must agree. Correct cameras have 0.95 to 1."""
+    """Minimum share of the visible keypoints that must agree. Correct cameras have 0.95 to 1."""
     unevenness_sigmas: float = 0.6
-    """Largest median distance of views from the road, in standard deviations."""
+    """Maximum median distance of views from the road, in standard deviations."""
     distance_sigma: float = 0.12
-    """Relative standard deviation of distances on the road from which a camera is useless."""
+    """Maximum relative standard deviation of distances on the road."""
     focal_sigma: float = 0.3
-    """Relative standard deviation of the focal length from which a camera is useless."""
+    """Maximum relative standard deviation of the focal length."""
     likelihood_gap: float = 6.0
-    """A camera that is behind by less (twice the log likelihood) may be the right one."""
+    """Difference of twice the log likelihood below which a second camera may be the correct one."""
     different_distance: float = 0.1
-    """Relative difference of distances on the road that makes another camera."""
+    """Relative difference of distances on the road above which two cameras are different."""
     squeezed_aspect: float = 4 / 3
-    """Width of a pixel over its height where a recorder has squeezed a wide image to 4:3."""
+    """Ratio of width to height of a pixel if a recorder has squeezed a wide image to 4:3."""
     squeezed_gap: float = 30.0
-    """Gain of likelihood (twice the logarithm) from which pixels are taken as squeezed."""
+    """Minimum gain in twice the log likelihood at which pixels are taken as squeezed."""
     heading_gap_rad: float = math.radians(6.0)
-    """Median angle between direction of travel and heading from which the road is not a plane or the camera is
-    wrong."""
+    """Maximum median angle between direction of travel and heading. A larger one shows that the road is not a plane or
+    the camera is wrong."""
     least_travel_m: float = 3.0
-    """Least distance between two views that gives a direction of travel, metres."""
+    """Minimum distance between two views that gives a direction of travel, metres."""
     fewest_directions: int = 5
-    """Smallest number of such directions."""
+    """Minimum number of such directions."""
     above_horizon: float = 0.05
-    """Largest share of vehicles whose lower edge lies above the horizon."""
+    """Maximum share of vehicles with a lower edge above the horizon."""
     segment_m: float = 2.0
-    """Length of the segments of road by which distances are compared, metres."""
+    """Length of the road segments over which distances are compared, metres."""
 
 
 DOUBT_LIMITS: Final = DoubtLimits()
 
 
 def rejection_reason(estimate: CameraEstimate, lower_edges: Array) -> str | None:
-    """The first reason why an estimated camera is not to be trusted, as part of a sentence; None: it holds together.
+    """Return the first reason to reject an estimated camera, as part of a sentence; None: it is plausible.
 
     Args:
-        estimate: The camera, with the vehicles that it was fitted to.
-        lower_edges: (P, 2) pixels of the middles of the lower edges of all boxes that were found.
+        estimate: The camera, with the vehicles that were used.
+        lower_edges: (P, 2) pixels of the middles of the lower edges of all detected boxes.
     """
     tests: Sequence[Callable[[], str | None]] = (
         lambda: _disagreement(estimate),
@@ -71,7 +71,7 @@ def rejection_reason(estimate: CameraEstimate, lower_edges: Array) -> str | None
 
 
 def sigma_of_ways(estimate: CameraEstimate) -> float:
-    """Relative standard deviation of ways that the vehicles go on the road, at the ninth in ten of their places."""
+    """Return the relative standard deviation of distances along headings: the 90th percentile of the views."""
     J = slopes(lambda unknowns: _log_ways(estimate, unknowns), estimate.solved.bundle.camera, RAY_LIMITS.step)
     variance = np.einsum("bi,ij,bj->b", J, estimate.covariance, J)
     return float(np.sqrt(np.percentile(variance, 90)))
@@ -83,7 +83,7 @@ def _disagreement(estimate: CameraEstimate) -> str | None:
     if share >= DOUBT_LIMITS.least_agreement:
         return None
     return (
-        f"under the likeliest one {1 - share:.0%} of their keypoints lie where they cannot: the road is no plane, the "
+        f"under the most likely one {1 - share:.0%} of their keypoints are impossible: the road is not a plane, the "
         "lens bends straight lines much, or the detector is wrong here"
     )
 
@@ -91,7 +91,7 @@ def _disagreement(estimate: CameraEstimate) -> str | None:
 def _uneven(estimate: CameraEstimate) -> str | None:
     if estimate.unevenness <= DOUBT_LIMITS.unevenness_sigmas:
         return None
-    return "the vehicles do not stand on one plane, or the lens bends straight lines more than one coefficient says"
+    return "the vehicles do not stand on one plane, or the lens distortion needs more than one coefficient"
 
 
 def _over_the_horizon(estimate: CameraEstimate, lower_edges: Array) -> str | None:
@@ -100,7 +100,7 @@ def _over_the_horizon(estimate: CameraEstimate, lower_edges: Array) -> str | Non
     share = float((up > 0).mean()) if up.size else 0.0
     if share <= DOUBT_LIMITS.above_horizon:
         return None
-    return f"under the likeliest one {share:.0%} of all vehicles would stand above the horizon"
+    return f"under the most likely one {share:.0%} of all vehicles would stand above the horizon"
 
 
 def _unknown(estimate: CameraEstimate) -> str | None:
@@ -109,7 +109,7 @@ def _unknown(estimate: CameraEstimate) -> str | None:
         return None
     return (
         f"distances along the road are known within {INTERVAL_SIGMAS * ways:.0%}, the focal length within "
-        f"{INTERVAL_SIGMAS * focal:.0%} (90%); vehicles in other places and directions may tell more"
+        f"{INTERVAL_SIGMAS * focal:.0%} (90%); vehicles in other positions and directions may help"
     )
 
 
@@ -136,23 +136,23 @@ def _sideways(estimate: CameraEstimate) -> str | None:
     if told.sum() < DOUBT_LIMITS.fewest_directions:
         return None
     turn = np.angle((way[told, 0] + 1j * way[told, 1]) * np.conj(middle[told]))
-    away = np.minimum(np.abs(turn), math.pi - np.abs(turn))  # who heads the other way is turned around, not aside
+    away = np.minimum(np.abs(turn), math.pi - np.abs(turn))  # an opposite heading is a front-rear swap, not an error
     if np.median(away) <= DOUBT_LIMITS.heading_gap_rad:
         return None
-    return f"under the likeliest one vehicles move {math.degrees(np.median(away)):.0f} degrees aside of where they head"
+    return f"under the most likely one vehicles move at {math.degrees(np.median(away)):.0f} degrees to their headings"
 
 
 def _squeezed(estimate: CameraEstimate) -> str | None:
     if gain_of_pixel_width(estimate, DOUBT_LIMITS.squeezed_aspect) <= DOUBT_LIMITS.squeezed_gap:
         return None
     return (
-        f"the vehicles fit better if a pixel is {DOUBT_LIMITS.squeezed_aspect:.2f} times as wide as high: bring "
+        f"the vehicles fit better if a pixel is {DOUBT_LIMITS.squeezed_aspect:.2f} times as wide as high: rescale "
         f"the images to the shape that the camera saw"
     )
 
 
 def _log_ways(estimate: CameraEstimate, unknowns: Array) -> Array:
-    """(B,) logarithms of the lengths, under a camera, of ways in the image that begin at each view and lead ahead."""
+    """Return (B,) logarithms of the road lengths, under a camera, of image segments that begin at each view."""
     bundle, size = estimate.solved.bundle, estimate.views.size
     begin = np.column_stack([bundle.pose[:, :2] * math.exp(bundle.camera[HEIGHT]), np.zeros(len(bundle.pose))])
     heading = bundle.pose[:, 2]

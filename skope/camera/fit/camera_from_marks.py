@@ -1,4 +1,4 @@
-"""`skope eval camera --points`: a camera file from marked points, or from all marks of a site file."""
+"""`skope eval camera --points`: write a camera file from marked points, or from all marks of a site file."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,9 +27,9 @@ class MarkReportLimits:
     distances_m: tuple[float, ...] = (10.0, 20.0, 40.0, 60.0, 100.0)
     """Distances from the camera's foot at which position errors are reported, metres."""
     useless_share: float = 0.25
-    """Errors larger than this share of the distance are not reported."""
+    """Maximum reported error, as a share of the distance."""
     doubtful_sigmas: float = 3.0
-    """Residual from which a point is to be checked, in standard deviations."""
+    """Minimum residual, in standard deviations, at which the report asks to check a point."""
 
 
 MARK_REPORT: Final = MarkReportLimits()
@@ -47,15 +47,15 @@ class _Marked:
 
 
 def camera_from_marks(path: Path, size: str | None, out: Path) -> Iterator[str]:
-    """Calibrate by the marks of a file and write `out`; yields what was found, heights over the world's z = 0.
+    """Calibrate with the marks of a file, write `out`, and yield lines on the result, with heights over z = 0.
 
     Args:
         path: A site file (`.toml`) with [calibration], or a file of points (`skope.camera.point_files`).
-        size: "WIDTHxHEIGHT" of the image that was marked; None: as the site file says.
+        size: "WIDTHxHEIGHT" of the marked image; None: from the site file.
         out: Camera file to write.
 
     Raises:
-        UserError: A file is malformed, or the marks do not tell a camera.
+        UserError: A file is malformed, or the marks do not determine a camera.
     """
     marked = _read(path, size)
     try:
@@ -94,7 +94,7 @@ def camera_from_marks(path: Path, size: str | None, out: Path) -> Iterator[str]:
 
 
 def evidence_of(path: Path, size: str | None) -> Evidence:
-    """The marks of a file, as `camera_from_marks` takes them. Raises UserError."""
+    """Return the marks of a file, as in `camera_from_marks`. Raise UserError if it is malformed."""
     return _read(path, size).evidence
 
 
@@ -124,7 +124,7 @@ def _read(path: Path, size: str | None) -> _Marked:
 
 
 def image_size(text: str) -> tuple[int, int]:
-    """Width and height of "WIDTHxHEIGHT"."""
+    """Return width and height of "WIDTHxHEIGHT"."""
     width, _, height = text.partition("x")
     right = all(part.isascii() and part.isdecimal() and len(part) <= 5 and int(part) for part in (width, height))
     if not right:
@@ -133,7 +133,7 @@ def image_size(text: str) -> tuple[int, int]:
 
 
 def _saved(path: Path) -> datetime:
-    """Time at which the marks were made, as far as the file itself tells."""
+    """Return the modification time of the file, as the time at which the marks were made."""
     return datetime.fromtimestamp(int(path.stat().st_mtime), UTC)
 
 
@@ -152,7 +152,7 @@ def _from(path: Path, evidence: Evidence) -> str:
 
 
 def _points(evidence: Evidence, found: SiteCalibration, left_out: Mapping[str, LeftOutError]) -> list[dict[str, Any]]:
-    """Each point with its residual, its error on the road, and where the others put it."""
+    """Return each point with its residual and its leave-one-out error."""
     rows = []
     for point in evidence.points:
         seen = found.camera.project(point.place)[0]
@@ -188,7 +188,7 @@ def _figures(found: SiteCalibration) -> Iterator[str]:
 
 
 def place_errors(found: UncertainCamera) -> str:
-    """Uncertainty of places on the road, at the worst of those that lie so far from the camera, in words."""
+    """Return a sentence on the largest position error on the road at several distances from the camera."""
     yaw, foot = found.camera.angles[0], found.camera.position[:2]
     told, farthest = [], ""
     for distance in MARK_REPORT.distances_m:
@@ -197,16 +197,16 @@ def place_errors(found: UncertainCamera) -> str:
             continue
         error = float(np.max(np.nan_to_num(found.place_error(pixels), nan=math.inf)))
         if error > MARK_REPORT.useless_share * distance:
-            farthest = f"; from {distance:g} m on by more than a quarter of the distance"
+            farthest = f"; from {distance:g} m on the error exceeds a quarter of the distance"
             break
         told.append(f"{error:.2g} m at {distance:g} m")
     if not told:
-        return f"places on the road are not known (90%){farthest}"
-    return f"places on the road lie within (90%) {', '.join(told)} from the camera{farthest}"
+        return f"positions on the road are not known (90%){farthest}"
+    return f"position errors on the road (90%): {', '.join(told)} from the camera{farthest}"
 
 
 def _seen_at(found: UncertainCamera, yaw: float, foot: Array, distance: float) -> Array:
-    """(N, 2) pixels of places at a distance from the camera's foot that the image shows."""
+    """Return (N, 2) pixels of visible positions at a distance from the camera's foot."""
     angles = yaw + SECTOR_ANGLES
     ring = np.column_stack([foot + distance * np.column_stack([np.cos(angles), np.sin(angles)]), np.zeros(len(angles))])
     pixels, _, valid = found.camera.project(ring)
@@ -218,5 +218,5 @@ def _point_line(row: Mapping[str, Any]) -> str:
     line = f"point {row['name']}: pixel ({u:g}, {v:g}), world ({place}): {row['off_px']:.2f} px off"
     if "left_out" in row:
         error = row["left_out"]
-        line += f"; by the others {error['error_m']:.2f} m off ({error['stated_m']:.2f} m stated)"
+        line += f"; located by the others {error['error_m']:.2f} m off ({error['stated_m']:.2f} m stated)"
     return f"{line}; wrong?" if row["outlier"] else line

@@ -1,4 +1,4 @@
-"""A camera over a level road as a few numbers, its pictures of points, and how these follow the numbers."""
+"""Describe a camera over a level road by five numbers, project points with it, and compute the derivatives."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from skope.pose.observations import KEYPOINT_WEIGHTS
 from skope.types import Array, Mask
 
 UNKNOWN_NAMES: Final = ("log_focal", "pitch", "roll", "log_height", "k1")
-"""The camera's unknowns: natural logarithms of pixels and metres, radians."""
+"""The camera's unknowns: logarithms of the focal length (pixels) and height (metres), angles (radians), k1."""
 FOCAL, PITCH, ROLL, HEIGHT, K1 = range(len(UNKNOWN_NAMES))
 
 
@@ -22,9 +22,9 @@ class RayLimits:
     """Numerical limits of rays and derivatives."""
 
     step: float = 1e-4
-    """Step of numerical derivatives by the camera's unknowns."""
+    """Step of numerical derivatives with respect to the camera's unknowns."""
     least_fall: float = 1e-3
-    """Least descent of a ray, as a share of its depth. A flatter ray is treated as if it fell by this much."""
+    """Minimum descent of a ray, as a share of its depth. A flatter ray is treated as if it fell by this much."""
     distortion_radius: float = 2.0
     """Distance from the axis, at depth 1, beyond which distortion does not grow."""
 
@@ -33,7 +33,7 @@ RAY_LIMITS: Final = RayLimits()
 
 
 def camera_of_unknowns(unknowns: Array, size: tuple[int, int]) -> Camera:
-    """The camera with the unknowns (5,), over (0, 0) and looking along x."""
+    """Return the camera with the unknowns (5,), over (0, 0) and facing along x."""
     bent = Distortion("brown", (float(unknowns[K1]), 0.0, 0.0, 0.0)) if unknowns[K1] else None
     return Camera.looking(
         [0, 0, math.exp(unknowns[HEIGHT])],
@@ -47,37 +47,37 @@ def camera_of_unknowns(unknowns: Array, size: tuple[int, int]) -> Camera:
 
 
 def on_road(camera: Camera, pixels: Array) -> Array:
-    """(P, 2) places on the road z = 0, metres, that pixels (P, 2) show; those above the horizon are very far away."""
+    """Return (P, 2) points on the road z = 0 of pixels (P, 2), metres; those above the horizon are very far away."""
     return intersect_ground(camera, pixels, least_fall=RAY_LIMITS.least_fall)[..., :2]
 
 
 @dataclass(frozen=True, eq=False)
 class Pictured:
-    """Points of the world as a camera shows them, with what their pixels follow from."""
+    """Points of the world projected by a camera, with intermediate results."""
 
     camera: Array
     R: Array
-    """(3, 3) from the world's axes to the camera's."""
+    """(3, 3) rotation from the world's axes to the camera's."""
     x: Array
-    """(B, P) x / z before the camera."""
+    """(B, P) x / z in the camera frame."""
     y: Array
     near: Array
-    """(B, P) depths, metres, those behind the camera as if they lay just before it."""
+    """(B, P) depths, metres; those behind the camera are set to a small positive depth."""
     front: Mask
-    """(B, P) which points lie before the camera."""
+    """(B, P) whether the points lie in front of the camera."""
     grown: Array
-    """(B, P) how much farther from the axis the lens shows them."""
+    """(B, P) radial scale factors of the lens distortion."""
     pixels: Array
-    """(B, P, 2)"""
+    """(B, P, 2) pixels."""
 
     @classmethod
     def of(cls, camera: Array, size: tuple[int, int], world: Array) -> Self:
-        """Picture points of the world.
+        """Project points of the world.
 
         Args:
-            camera: (5,) the unknowns, as `UNKNOWN_NAMES` names them.
+            camera: (5,) unknowns in the order of `UNKNOWN_NAMES`.
             size: Width and height of the image, pixels.
-            world: (B, P, 3) points, metres; the camera hangs over the origin and looks along x.
+            world: (B, P, 3) points, metres; the camera is above the origin and faces along x.
         """
         pitch, roll = camera[PITCH], camera[ROLL]
         forward = np.array([math.cos(pitch), 0.0, -math.sin(pitch)])
@@ -94,7 +94,7 @@ class Pictured:
         return cls(camera, R, x, y, near, depth > KEYPOINT_WEIGHTS.nearest_m, grown, pixels)
 
     def by_world(self) -> Array:
-        """(B, P, 2, 3) derivatives of the pixels by a shift in the world."""
+        """Return (B, P, 2, 3) derivatives of the pixels with respect to a shift in the world."""
         x, y, near = self.x[..., None], self.y[..., None], self.near[..., None]
         by_x, by_y = (self.R[0] - x * self.R[2]) / near, (self.R[1] - y * self.R[2]) / near
         k1 = self.camera[K1]
@@ -108,13 +108,13 @@ class Pictured:
 
 
 def by_camera(camera: Array, size: tuple[int, int], world: Array, foot: Array) -> Array:
-    """(B, P, 2, 5) derivatives of the pixels of points by the camera's unknowns.
+    """Return (B, P, 2, 5) derivatives of the pixels of points with respect to the camera's unknowns.
 
     Args:
         camera: (5,) the unknowns.
-        size: Of the image, pixels.
-        world: (B, P, 3) the points, metres.
-        foot: (B, 3) places in the world, over the camera's height, that they stand at: they go with the height.
+        size: Size of the image, pixels.
+        world: (B, P, 3) points, metres.
+        foot: (B, 3) ground positions of the points, divided by the camera's height; they scale with it.
     """
     height = math.exp(camera[HEIGHT])
     return slopes(

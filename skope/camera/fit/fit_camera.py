@@ -1,10 +1,10 @@
-"""Focal length, height and tilt of a camera from vehicles on the road before it, whose sizes are roughly known.
+"""Estimate focal length, height and tilt of a camera from vehicles of roughly known size on the road.
 
-The right camera is the one under which all vehicles are likely: shapes as vehicles have them, the same in all views of
-a vehicle, wheels on one plane. A grid of cameras is judged by `skope.pose.closed_form_starts`, the best few are
-adjusted together with their vehicles (`skope.camera.fit.bundle_adjustment`), and how differently
-single vehicles pull tells the uncertainty. What does not hold together is refused.
-Place and direction on the map cannot be known so: the camera hangs over (0, 0) and looks along x.
+The correct camera makes all vehicles likely: plausible shapes, constant over all views of a vehicle, and wheels on one
+plane. `skope.pose.closed_form_starts` ranks a grid of cameras, and the best few are adjusted together with their
+vehicles (`skope.camera.fit.bundle_adjustment`). The disagreement of single vehicles gives the uncertainty. Implausible
+results are rejected. Vehicles do not show position and direction on the map: the camera is put over (0, 0) and faces
+along x.
 """
 
 import itertools
@@ -29,71 +29,71 @@ GRID_PITCHES: Final = np.radians([3, 8, 14, 21, 29, 38, 48, 60, 74])
 
 @dataclass(frozen=True)
 class CameraSearch:
-    """Grid of first cameras and limits of the search for a camera from vehicles."""
+    """Grid of initial cameras and limits of the search for a camera from vehicles."""
 
     heights_m: tuple[float, ...] = (2.6, 3.7, 5.2, 7.4, 10.5, 15.0, 22.0)
     """Heights of the grid over the road, metres."""
     judged_views: tuple[int, int] = (20, 60)
-    """Maximum number of views that judge the grid, and then its best cameras."""
+    """Maximum number of views for ranking the grid, and then its best cameras."""
     judged_again: int = 100
-    """Number of cameras of the grid that are judged by more views."""
+    """Number of cameras of the grid that are ranked again with more views."""
     view_cost_cap: float = 150.0
-    """Largest cost of a view, so that a false detection does not decide."""
+    """Maximum cost of a view, so that a false detection does not decide."""
     start_distance: float = 0.45
     """Cameras of the grid closer than this are one start. Distances are in logarithms and in twice the angle in
     radians."""
     starts: int = 10
     """Number of cameras of the grid that are adjusted."""
     refined: int = 4
-    """Number of these whose vehicles get body types by full fits."""
+    """Number of these for which full fits determine the body types."""
     same_unknowns: float = 0.02
-    """Cameras whose unknowns differ by less than this are one."""
+    """Difference of the unknowns below which two cameras are one."""
     sigma_factor: float = 1.5
     """Factor of standard deviations over those that differences between vehicles give. With it and the two floors
     below, 95% intervals cover 95% of generated cameras (docs/from-camera-to-tracks.md)."""
     focal_floor: float = 0.03
-    """Least relative standard deviation of the focal length, however many vehicles there are."""
+    """Minimum relative standard deviation of the focal length, for any number of vehicles."""
     first_steps: int = 10
-    """Steps by which each start is adjusted before the best are chosen."""
+    """Number of adjustment steps of each start before the best are selected."""
 
 
 CAMERA_SEARCH: Final = CameraSearch()
 
 SIGMA_FLOORS: Final = np.array([0.0, 0.0, math.radians(0.5), 0.04, 0.01])
-"""Least standard deviations of the other unknowns. All vehicles of a country may be larger or smaller than the
+"""Minimum standard deviations of the other unknowns. All vehicles of a country may be larger or smaller than the
 shape space, and lenses bend in more than one coefficient.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """Another camera that the search has come to."""
+    """Second camera that the search has found."""
 
     unknowns: Array
-    """(5,) as `skope.camera.fit.camera_unknowns.UNKNOWN_NAMES` names them."""
+    """(5,) values in the order of `skope.camera.fit.camera_unknowns.UNKNOWN_NAMES`."""
     behind: float
-    """Twice the log likelihood by which it is less likely."""
+    """Difference of twice the log likelihood to the best camera."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraEstimate:
-    """A camera that was estimated from vehicles, and how certain it is."""
+    """Camera estimated from vehicles, with its uncertainty."""
 
     camera: Camera
     solved: Solved
     views: VehicleViews
     covariance: Array
-    """(5, 5) of the unknowns that `skope.camera.fit.camera_unknowns.UNKNOWN_NAMES` names."""
+    """(5, 5) covariance in the order of `skope.camera.fit.camera_unknowns.UNKNOWN_NAMES`."""
     unevenness: float
-    """Distance of the views from the road, as `BundleAdjustment.unevenness` says; 0.3 to 0.5 on level ones."""
+    """Distance of the views from the road, from `BundleAdjustment.unevenness`; 0.3 to 0.5 on level ones."""
     rival: Rival | None
-    """The likeliest of other cameras."""
+    """Most likely of the other cameras; None: no other was found."""
     known: Known
-    """Knowledge of the camera from before."""
+    """Prior knowledge of the camera."""
 
     @property
     def vehicles(self) -> int:
-        """Number of vehicles that it was fitted to."""
+        """Number of vehicles used in the fit."""
         return self.views.count
 
     @property
@@ -121,16 +121,16 @@ class CameraEstimate:
 
 
 def fit_camera_to_vehicles(views: VehicleViews, known: Known | None = None) -> CameraEstimate:
-    """Estimate focal length, height, tilt, roll and distortion of the camera that took the vehicles.
+    """Estimate focal length, height, tilt, roll and distortion of a camera from vehicles in its images.
 
-    The principal point is taken to be the image's middle.
+    The principal point is assumed to be the image's middle.
 
     Args:
         views: Keypoints of vehicles that stand on one level road.
-        known: What is known of the camera beforehand; None: what is so of any.
+        known: Prior knowledge of the camera; None: the default prior.
 
     Returns:
-        The camera under which the vehicles are most likely, over (0, 0) and looking along x, and how certain it is.
+        The camera under which the vehicles are most likely, over (0, 0) and facing along x, with its covariance.
     """
     known = known or Known()
     adjustment = BundleAdjustment(views, known)
@@ -150,13 +150,13 @@ def fit_camera_to_vehicles(views: VehicleViews, known: Known | None = None) -> C
 
 
 def gain_of_pixel_width(estimate: CameraEstimate, width: float) -> float:
-    """Twice the log likelihood by which the vehicles are likelier if a pixel is `width` times as wide as high."""
+    """Return the gain in twice the log likelihood if a pixel is `width` times as wide as high."""
     views, known, at = estimate.views, estimate.known, estimate.solved.bundle.camera.copy()
     found, center = views.found.copy(), known.center.copy()
     found[..., 0] *= width
     at[FOCAL] += 0.5 * math.log(width)
-    center[FOCAL] += math.log(width)  # a field of view that is known is the horizontal one
-    # Uncertain by as many pixels as before in the mean of both axes, so that wide pixels gain nothing by that.
+    center[FOCAL] += math.log(width)  # a known field of view is the horizontal one
+    # The mean error of both axes stays the same in pixels, so that wide pixels have no advantage.
     drawn = replace(
         views,
         found=found,
@@ -168,7 +168,7 @@ def gain_of_pixel_width(estimate: CameraEstimate, width: float) -> float:
 
 
 def _widened(covariance: Array) -> Array:
-    """A covariance of the unknowns with what all vehicles have wrong together."""
+    """Return a covariance of the unknowns with the common errors of all vehicles added."""
     with_focal = covariance[:, FOCAL] / covariance[FOCAL, FOCAL] if covariance[FOCAL, FOCAL] > 0 else np.zeros(5)
     with_focal = np.where(np.arange(len(with_focal)) == K1, 0.0, with_focal)
     common = CAMERA_SEARCH.focal_floor**2 * np.outer(with_focal, with_focal) + np.diag(SIGMA_FLOORS**2)
@@ -176,7 +176,7 @@ def _widened(covariance: Array) -> Array:
 
 
 def _starts(views: VehicleViews, known: Known) -> list[Array]:
-    """The best cameras of the grid that are apart from one another, as unknowns (5,)."""
+    """Return the best distinct cameras of the grid, as unknowns (5,)."""
     shapes, order = views.shapes, np.random.default_rng(0).permutation(len(views.found))
 
     def best(cameras: list[Array], judged: int) -> list[Array]:
@@ -205,12 +205,12 @@ def _starts(views: VehicleViews, known: Known) -> list[Array]:
 
 
 def capped(cost: Array) -> Array:
-    """Costs of views that level off at `CAMERA_SEARCH.view_cost_cap`, still smooth."""
+    """Limit costs of views smoothly to `CAMERA_SEARCH.view_cost_cap`."""
     return np.asarray(CAMERA_SEARCH.view_cost_cap * np.tanh(np.minimum(cost, 1e6) / CAMERA_SEARCH.view_cost_cap))
 
 
 def _distinct(solved: list[Solved]) -> list[Solved]:
-    """Of those that have come to one camera the first."""
+    """Return the results without later ones for the same camera."""
     out: list[Solved] = []
     for one in solved:
         if all(np.abs(one.bundle.camera - other.bundle.camera).max() > CAMERA_SEARCH.same_unknowns for other in out):

@@ -1,7 +1,7 @@
-"""Fit the road to the vehicles on it: the plane on which all of them are likely, the camera being known.
+"""Fit the plane of the road to the vehicles on it, with a known camera.
 
-Each vehicle by itself, placed by its size alone, gives a rough point of the road; a plane through these starts the
-search, and a bundle adjustment of road and vehicles ends it, as for a camera (`skope.camera.fit.fit_camera`).
+Each vehicle alone, located by its size, gives a rough point of the road. A plane through these points starts the
+search. A bundle adjustment of road and vehicles completes it, as for a camera (`skope.camera.fit.fit_camera`).
 """
 
 import math
@@ -33,22 +33,21 @@ class GroundSearch:
     """Prior and limits of the search for the road's plane."""
 
     slope_sigma: float = 0.05
-    """Standard deviation of a road's slope. A slope of 0.08 is steep."""
+    """Prior standard deviation of a road's slope. A slope of 0.08 is steep."""
     lowest_camera_m: float = 0.5
-    """Least height of the camera over the road at which the search begins, metres."""
+    """Minimum height of the camera over the road at the start of the search, metres."""
     fewest_vehicles: int = 3
-    """Smallest number of vehicles. A known camera gets more from each than an unknown one."""
+    """Minimum number of vehicles. Each contributes more for a known camera than for an unknown one."""
     fewest_places: int = 3
-    """Smallest number of positions for a plane."""
+    """Minimum number of positions for a plane."""
     tried_sigmas_m: tuple[float, ...] = (0.04, 0.08, 0.16, 0.32, 0.64)
-    """Standard deviations of the road's height over its plane that are tried, metres."""
+    """Candidate standard deviations of the road's height over its plane, metres."""
     weight_rounds: int = 5
-    """Rounds of reweighting for the first plane."""
+    """Number of reweighting rounds for the first plane."""
     most_vehicles: int = 40
     """Maximum number of vehicles that are used."""
     clear_gap: float = 5.0
-    """The plane z = 0 is replaced only if the views fit another plane better by this much (twice the log
-    likelihood)."""
+    """Minimum gain in twice the log likelihood of the views at which a fitted plane replaces the plane z = 0."""
 
 
 GROUND_SEARCH: Final = GroundSearch()
@@ -56,33 +55,33 @@ GROUND_SEARCH: Final = GroundSearch()
 
 @dataclass(frozen=True)
 class GroundFit:
-    """A road that was fitted to vehicles; `ground.height_sigma` says how well it is known."""
+    """Road plane fitted to vehicles; `ground.height_sigma` is the deviation of the vehicles from it."""
 
     ground: Ground
     vehicles: int
-    """Number of vehicles that it was fitted to."""
+    """Number of vehicles used in the fit."""
 
 
 def with_fitted_ground(
     scene: Scene, asked: str, *, score: float, noise: float, sigma_px: float | None
 ) -> tuple[Scene, str | None]:
-    """The scene with the road that its vehicles show, and a line that says so.
+    """Return the scene with the road fitted to its vehicles, and a line that reports it.
 
-    Each of several cameras has a road of its own.
+    If the images are from several cameras, each has its own road.
 
     Args:
-        scene: Vehicles, and the level plane to begin with.
-        asked: "fit" for always; "auto" for: where the vehicles clearly contradict that plane.
-        score: Detections above this are taken.
+        scene: Vehicles, and the initial level plane.
+        asked: "fit": always; "auto": only if the vehicles clearly contradict that plane.
+        score: Minimum score of detections.
         noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
         sigma_px: Standard deviation of a keypoint, pixels; None as in `Scene.views`.
 
     Raises:
-        UserError: "fit" was asked for, and the vehicles do not tell the road.
+        UserError: "fit" was requested, and the vehicles do not determine the road.
     """
     if scene.ground is None or not scene.file.images:
         if asked == "fit" and scene.file.images:
-            raise UserError("--ground fit: needs a camera whose pose is known; `skope eval camera` finds both")
+            raise UserError("--ground fit: needs a camera with a known pose; `skope eval camera` finds both")
         return scene, None
     asking: dict[str, Any] = {"score": score, "noise": noise, "sigma_px": sigma_px}
     calibrated = scene.calibrated_part()  # a camera that was turned sees the same road
@@ -103,7 +102,7 @@ def with_fitted_ground(
 
 
 def _images_of_cameras(scene: Scene) -> list[list[Image]]:
-    """The images of each camera, where all cameras are told apart by what their files say."""
+    """Return the images of each camera, if all images carry their camera."""
     groups: dict[bytes, list[Image]] = {}
     for image in scene.file.images:
         groups.setdefault(json_bytes(scene.camera_of(image).to_dict()), []).append(image)
@@ -111,10 +110,10 @@ def _images_of_cameras(scene: Scene) -> list[list[Image]]:
 
 
 def _with_roads(scene: Scene, cameras: list[list[Image]], asking: dict[str, Any]) -> tuple[Scene, str | None]:
-    """The scene with the road of each camera whose vehicles contradict the level plane, and a line that says so.
+    """Return the scene with the roads of the cameras with vehicles that contradict the level plane, and a line on it.
 
-    If any do, the world of the file is not level at that height: where a camera's vehicles are too few to tell, its
-    road is unknown.
+    If any do, the world of the file is not level at that height. The road of a camera with too few vehicles is then
+    unknown.
     """
     roads: dict[int, Ground | None] = {}
     contradicting, unclear = 0, list[Image]()
@@ -135,14 +134,14 @@ def _with_roads(scene: Scene, cameras: list[list[Image]], asking: dict[str, Any]
         "z = 0 (--ground 0 insists on it): each of these has a road that was fitted to its vehicles"
     )
     if unclear:
-        words += f"; in {counted(len(unclear), 'image')} of others too few tell, and size alone tells distances"
+        words += f"; {counted(len(unclear), 'image')} of others have too few vehicles: distances by size"
     return replace(scene, roads=roads), words
 
 
 def _fit(scene: Scene, asked: str, *, score: float, noise: float, sigma_px: float | None) -> GroundFit | None:
-    """The road of a scene of one camera; None where that is "auto" and its vehicles bear out the scene's own.
+    """Return the road of a scene with one camera; None for "auto" if its vehicles agree with the scene's road.
 
-    Raises UserError where too few vehicles show enough.
+    Raise UserError if too few vehicles show enough keypoints.
     """
     assert scene.ground is not None
     camera = scene.camera_of(scene.file.images[0])
@@ -173,7 +172,7 @@ def _words(fit: GroundFit, asked: str) -> str:
 
 
 def fit_ground(views: VehicleViews, camera: Camera, begun: Ground) -> GroundFit:
-    """Fit a plane under vehicles; how far they lie off it is its `height_sigma`.
+    """Fit a plane under vehicles; its `height_sigma` is their deviation from it.
 
     Args:
         views: Keypoints of the vehicles.
@@ -187,7 +186,7 @@ def fit_ground(views: VehicleViews, camera: Camera, begun: Ground) -> GroundFit:
 
 
 def _adjusted(views: VehicleViews, camera: Camera, ground: Ground, *, free: bool) -> Solved:
-    """The likeliest vehicles on a road under a known camera, or on a road near it where that is `free`."""
+    """Return the most likely vehicles on a road under a known camera; with `free`, the road is adjusted too."""
     focal = math.sqrt(camera.K[0, 0] * camera.K[1, 1])
     level, _ = levelled(camera, ground)
     at = np.array(
@@ -204,7 +203,7 @@ def _adjusted(views: VehicleViews, camera: Camera, ground: Ground, *, free: bool
 
 
 def _plane(camera: Camera, unknowns: Array, like: Ground) -> Ground:
-    """The road on which a bundle adjustment has put the vehicles before a camera, in that camera's world."""
+    """Return the road of a bundle adjustment's result, in the world of the camera."""
     upright = camera_of_unknowns(unknowns, (camera.width, camera.height)).T_camera_world[:3, 2]
     x, y, z = camera.T_camera_world[:3, :3].T @ upright
     slope = (-x / z, -y / z)
@@ -214,7 +213,7 @@ def _plane(camera: Camera, unknowns: Array, like: Ground) -> Ground:
 
 
 def _through_free_fits(views: VehicleViews, camera: Camera) -> Ground:
-    """A plane through the places that vehicles have by their size alone, those far from it counting less and less."""
+    """Fit a plane robustly through the positions that vehicles have from their size alone."""
     poses = locate(camera, views.found, sigma_px=views.sigma_px, ground=None, shapes=views.shapes)
     good = np.array([reason is None for reason in poses.refusal])
     if good.sum() >= GROUND_SEARCH.fewest_places:
@@ -240,7 +239,7 @@ def _through_free_fits(views: VehicleViews, camera: Camera) -> Ground:
 
 
 def _unevenness(views: VehicleViews, camera: Camera, ground: Ground) -> float:
-    """The `height_sigma` under which the vehicles are likeliest, whatever their poses (Laplace's approximation)."""
+    """Return the most likely `height_sigma` of the vehicles, integrated over their poses (Laplace's approximation)."""
 
     def surprise(sigma: float) -> float:
         level, flat = levelled(camera, replace(ground, height_sigma=sigma))

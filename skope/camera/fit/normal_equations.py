@@ -1,6 +1,6 @@
-"""Normal equations of many views of many vehicles, and how poses and shapes are taken out of them.
+"""Normal equations of many views of many vehicles, and the elimination of poses and shapes.
 
-What is left (Schur's complement, Triggs et al. 2000) is the sum of a part for each vehicle.
+The reduced system (Schur's complement, Triggs et al. 2000) is a sum with one part per vehicle.
 """
 
 from dataclasses import dataclass, replace
@@ -13,23 +13,23 @@ from skope import keypoints
 from skope.types import Array, Mask
 
 _POSE_STRIDE: Final = np.array([3.0, 3.0, 0.5])
-"""A pose changes by so much at most in a step: heights of the camera, radians."""
+"""Maximum change of a pose per step: x and y in heights of the camera, heading in radians."""
 REGULARISING_SHARE: Final = 1e-10
 """Share of its trace that is added to the diagonal of a singular matrix."""
 
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """Costs, and normal equations of B views in pose (3), shape (M) and shared unknowns (U, or none of them)."""
+    """Costs, and normal equations of B views in pose (3), shape (M) and shared unknowns (U, or none)."""
 
     squared: Array
     vehicle_cost: Array
     normal: Array
-    """(B, 3 + M + U, 3 + M + U)"""
+    """(B, 3 + M + U, 3 + M + U) normal matrices."""
     gradient: Array
-    """(B, 3 + M + U)"""
+    """(B, 3 + M + U) gradients."""
     numbers: int
-    """M."""
+    """Number M of shape parameters."""
 
     @classmethod
     def of(
@@ -42,16 +42,16 @@ class Linearised:
         by_shape: Array,
         by_shared: Array,
     ) -> Self:
-        """Make the normal equations of derivatives and weights.
+        """Make the normal equations from derivatives and weights.
 
         Args:
             squared: (B, 33) squared distances in the image, in variances.
             vehicle_cost: (N,) costs of the vehicles.
             weight: (B, 33) weights of the keypoints, in pixels^-2.
-            away: (B, 33, 2) from the keypoints that were found to the model's, pixels.
-            by_pose: (B, 33, 2, 3) derivatives of the image by the pose.
-            by_shape: (B, 33, 2, M) by the shape.
-            by_shared: (B, 33, 2, U) by the shared unknowns.
+            away: (B, 33, 2) vectors from the detected keypoints to the model's, pixels.
+            by_pose: (B, 33, 2, 3) derivatives of the image with respect to the pose.
+            by_shape: (B, 33, 2, M) derivatives with respect to the shape.
+            by_shared: (B, 33, 2, U) derivatives with respect to the shared unknowns.
         """
         views = len(away)
         J = np.concatenate([by_pose, by_shape, by_shared], axis=-1).reshape(views, 2 * keypoints.K, -1)
@@ -60,10 +60,10 @@ class Linearised:
         return cls(squared, vehicle_cost, weighted @ J, gradient, by_shape.shape[-1])
 
     def where(self, better: Mask, other: Self, vehicle: NDArray[np.intp]) -> Self:
-        """These normal equations, but some vehicles' as in `other`.
+        """Return these normal equations, with those of some vehicles from `other`.
 
         Args:
-            better: (N,) which vehicles are taken from `other`.
+            better: (N,) whether to take a vehicle from `other`.
             other: Normal equations of the same views.
             vehicle: (B,) the vehicle of each view.
         """
@@ -77,7 +77,7 @@ class Linearised:
         )
 
     def without_poses(self, vehicle: NDArray[np.intp], shape: Array, damping: Array) -> "Parts":
-        """The equations after the poses, then the shapes are taken out (Schur complements).
+        """Eliminate the poses, then the shapes, from the equations (Schur complements).
 
         Args:
             vehicle: (B,) the vehicle of each view.
@@ -94,7 +94,7 @@ class Linearised:
         across = np.swapaxes(self.normal[:, pose, rest], -1, -2)
         normal = summed(self.normal[:, rest, rest] - across @ pose_back, vehicle, count)
         gradient = summed(self.gradient[:, rest] - (across @ pose_alone[..., None])[..., 0], vehicle, count)
-        # Shapes' numbers are of unit variance.
+        # Shape parameters have unit prior variance.
         held = normal[:, :m, :m] + np.eye(m)
         spread = np.linalg.slogdet(held)[1]
         held = held + damping[:, None, None] * np.eye(m)
@@ -115,7 +115,7 @@ class Linearised:
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Normal equations of the shared unknowns, a part for each vehicle, and the way back to shapes and poses."""
+    """Normal equations of the shared unknowns, one part per vehicle, and the back substitution to shapes and poses."""
 
     information: Array
     pull: Array
@@ -127,7 +127,7 @@ class Parts:
     pose_alone: Array
 
     def back(self, shared: Array, vehicle: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Steps of the shapes (N, M) and the poses (B, 3) that belong to a step (U,) of the shared unknowns."""
+        """Return the steps of shapes (N, M) and poses (B, 3) for a step (U,) of the shared unknowns."""
         own = shared[: self.shape_back.shape[-1]]
         shape = -(self.shape_alone + self.shape_back @ own)
         rest = np.concatenate([shape[vehicle], np.broadcast_to(own, (len(vehicle), len(own)))], axis=1)
@@ -136,9 +136,9 @@ class Parts:
 
 
 def _inverses(matrices: Array) -> Array:
-    """(B, 3, 3) inverses; where one of the matrices has none, all are taken to be a little larger along the diagonal.
+    """Return (B, 3, 3) inverses. If one matrix is singular, the diagonals of all are slightly enlarged.
 
-    That happens where a trial camera has all that is seen of a vehicle pull one way.
+    This happens if all keypoints of a vehicle constrain a trial camera in one direction only.
     """
     try:
         return np.asarray(np.linalg.inv(matrices))
@@ -153,7 +153,7 @@ def summed(values: Array, vehicle: NDArray[np.intp], count: int) -> Array:
     """Sum over the views of each vehicle.
 
     Args:
-        values: (B, ...) a value for each view.
+        values: (B, ...) one value per view.
         vehicle: (B,) the vehicle of each view.
         count: Number N of vehicles.
 

@@ -1,8 +1,8 @@
-"""`skope eval camera --refit`: the new pose of a camera that was turned, from what is known of it before.
+"""`skope eval camera --refit`: estimate the new pose of a turned camera from its previous calibration.
 
-The old picture is registered to the new one: what most of its corners do is a turn of the camera, or the command
-refuses. The turn takes the old marks to the new picture, and they are solved anew; of a camera file without marks the
-camera itself is turned, and stays as uncertain as it was, at least.
+The old image is registered to the new one. If most of its corners do not move as by a turn of the camera, the command
+stops. The turn transforms the old marks to the new image, and the calibration is repeated. For a camera file without
+marks, the camera itself is turned, and its uncertainty does not decrease.
 """
 
 import math
@@ -35,20 +35,20 @@ from skope.video.footage import FrameRange, open_footage
 
 @dataclass(frozen=True)
 class RefitLimits:
-    """Limits of following a camera that was turned."""
+    """Limits of registering a camera that was turned."""
 
     image_width_px: int = 1280
-    """Largest width of the images in which corners are matched. Limits in pixels are pixels of these."""
+    """Maximum width of the images in which corners are matched. Limits in pixels are pixels of these."""
     residual_ratio: float = 2.0
     """A turn explains the motion of corners if its residual is at most this many times that of a free homography."""
     least_residual_px: float = 0.3
-    """Least residual of such a homography, pixels. Corners are matched this precisely."""
+    """Minimum assumed residual of that homography, pixels. Corners are matched with this precision."""
     near_m: float = 60.0
-    """The road within this distance distinguishes a turn from a move, metres. Its nearer half must agree."""
+    """Distance within which the road distinguishes a turn from a move, metres. Its nearer half must agree."""
     fewest_matches: int = 8
-    """Smallest number of matched corners there."""
+    """Minimum number of matched corners there."""
     least_share: float = 0.5
-    """Smallest share of these corners that must agree with a turn. Traffic hides some."""
+    """Minimum share of these corners that must agree with a turn. Traffic hides some."""
     rest_s: float = 3.0
     """Duration over which the rest position of a shaking camera is averaged, seconds."""
 
@@ -58,33 +58,33 @@ REFIT_LIMITS: Final = RefitLimits()
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Turn of a camera between two pictures."""
+    """Turn of a camera between two images."""
 
     camera: Camera
     """The old camera, turned."""
     motion: ImageMotion
     corners: int
     off_px: float
-    """Distance of corners from where the turn puts them, root mean square an axis, pixels."""
+    """Residual of corners after the turn, root mean square per axis, pixels."""
     near_m: float
-    """Distance of corners on the road near by that tell that the camera was not moved, metres."""
+    """Median distance of the nearby road corners which show that the camera was not moved, metres."""
 
 
 def refit(
     before: str, after: str, *, points: Path | None, camera: Path | None, size: str | None, out: Path
 ) -> Iterator[str]:
-    """Find the pose of a turned camera and write `out`; yields what was found.
+    """Estimate the pose of a turned camera, write `out`, and yield lines on the result.
 
     Args:
-        before: The picture that was marked, or a video: its first frame, or with "@SECONDS" the frame then.
-        after: A picture of the turned camera, or a video, likewise; of a video, a frame that shows the camera at rest.
-        points: The old marks, as `skope eval camera --points` takes them; None: `camera` is given.
+        before: The marked image, or a video: its first frame, or with "@SECONDS" the frame at that time.
+        after: An image of the turned camera, or a video, in the same form. In a video, a frame at rest is chosen.
+        points: The old marks, as in `skope eval camera --points`; None: `camera` is given.
         camera: The old camera's file.
-        size: "WIDTHxHEIGHT" of the image that was marked, where the file does not say it.
+        size: "WIDTHxHEIGHT" of the marked image; None: from the file.
         out: Camera file to write.
 
     Raises:
-        UserError: A file cannot be read, or the pictures do not surely tell how the camera was turned.
+        UserError: A file cannot be read, or the images do not reliably show how the camera was turned.
     """
     old_pixels, new_pixels = _frame(before, at_rest=False), _frame(after, at_rest=True)
     shape = (old_pixels.shape[1], old_pixels.shape[0])
@@ -130,26 +130,26 @@ def refit(
 
 
 def registration(before: Pixels, after: Pixels, known: UncertainCamera, name: str) -> Registration:
-    """Measure how a camera has been turned between two pictures.
+    """Measure the turn of a camera between two images.
 
     Args:
-        before: (H, W, 3) RGB, which `known` took.
-        after: (H, W, 3) RGB, from where it hangs now.
-        known: The camera before.
-        name: Name of the pictures, for errors.
+        before: (H, W, 3) RGB image from the `known` camera.
+        after: (H, W, 3) RGB image from its new orientation.
+        known: The camera before the turn.
+        name: Name of the images, for errors.
 
     Raises:
-        UserError: A turn does not explain what is seen.
+        UserError: A turn does not explain the change of the image.
     """
     first, moved = (SmallPicture.of(pixels, REFIT_LIMITS.image_width_px) for pixels in (before, after))
     reference = ReferencePicture(first)
     motion, followed = reference.motion(moved), reference.followed(moved)
     if motion is None or followed is None:
-        raise UserError(f"{name}: too little of one picture is found in the other to tell how the camera was turned")
+        raise UserError(f"{name}: too few common corners in the two images to measure the turn of the camera")
     rays, valid = known.camera.rays(followed.before)
     rays, corners = rays[valid], replace(followed, before=followed.before[valid], after=followed.after[valid])
     camera, off = _turn(known.camera, rays, corners, motion)
-    # Half the squares of normal errors an axis have a median of 0.69 variances.
+    # Half the squared norm of errors that are normal per axis has a median of 0.69 variances.
     off_px = math.sqrt(float(np.median((off**2).sum(axis=1))) / (2 * math.log(2)))
     scale = max(1.0, known.camera.width / REFIT_LIMITS.image_width_px)
     lens = _by_the_lens(known, camera, rays)
@@ -158,38 +158,38 @@ def registration(before: Pixels, after: Pixels, known: UncertainCamera, name: st
     )
     if not off_px <= allowed:
         raise UserError(
-            f"{name}: the image has changed otherwise than by a turn of the camera ({off_px:.1f} px off, at most "
-            f"{allowed:.1f} px expected): it was moved or zoomed; mark points in the new picture"
+            f"{name}: the image has not changed as by a turn of the camera ({off_px:.1f} px off, at most "
+            f"{allowed:.1f} px expected): it was moved or zoomed; mark points in the new image"
         )
     near_m = _near_road(known.camera, camera, corners, 3 * allowed, name)
     return Registration(camera, motion, len(rays), off_px, near_m)
 
 
 def _near_road(old: Camera, turned: Camera, corners: FollowedCorners, within_px: float, name: str) -> float:
-    """Distance of the road's corners near the camera, metres, which a move would shift most: most must agree too.
+    """Return the distance of the road's corners near the camera, metres, which a move would shift most.
 
-    Raises UserError where they do not, or are too few to tell.
+    Raises UserError if most of them do not agree with the turn, or there are too few.
     """
     places = intersect_ground(old, corners.all_before)
     away = np.linalg.norm(places - old.position, axis=1)
     seen, _, valid = turned.project(np.where(np.isfinite(places), places, old.position))
     there = np.flatnonzero(valid & turned.inside(seen) & (away < REFIT_LIMITS.near_m))
     if len(there) < REFIT_LIMITS.fewest_matches:
-        raise UserError(f"{name}: too few corners on the road near by to tell a turn of the camera from a move")
+        raise UserError(f"{name}: too few corners on the nearby road to distinguish a turn of the camera from a move")
     nearer = there[np.argsort(away[there])][: max(REFIT_LIMITS.fewest_matches, len(there) // 2)]
     apart = np.linalg.norm(corners.all_before[nearer, None] - corners.before, axis=-1)
     match = apart.argmin(axis=1)
     good = (apart.min(axis=1) < 0.01) & (np.linalg.norm(corners.after[match] - seen[nearer], axis=1) < within_px)
     if good.mean() < REFIT_LIMITS.least_share:
         raise UserError(
-            f"{name}: of the road near by {good.mean():.0%} is found again where a turn of the camera puts it: it was "
-            "moved or zoomed, or much hides the road; mark points in the new picture"
+            f"{name}: only {good.mean():.0%} of the nearby road is found where a turn of the camera puts it: it was "
+            "moved or zoomed, or much hides the road; mark points in the new image"
         )
     return float(np.median(away[nearer[good]]))
 
 
 def _turn(camera: Camera, rays: Array, corners: FollowedCorners, motion: ImageMotion) -> tuple[Camera, Array]:
-    """The camera turned so that it sees `rays` (N, 3) of its frame best at the corners' new places; (N, 2) errors."""
+    """Return the camera turned so that `rays` (N, 3) best fit the corners' new positions, and the (N, 2) errors."""
     away = rays @ camera.T_camera_world[:3, :3] + camera.position
 
     def residuals(values: Array) -> Array:
@@ -203,7 +203,7 @@ def _turn(camera: Camera, rays: Array, corners: FollowedCorners, motion: ImageMo
 
 
 def _by_the_lens(known: UncertainCamera, turned: Camera, rays: Array) -> float:
-    """Error of corners since focal length and lens are not known exactly, root mean square an axis, pixels."""
+    """Return the error of corners from the uncertain focal length and lens, root mean square per axis, pixels."""
     T = turned.T_camera_world @ np.linalg.inv(known.camera.T_camera_world)
     pixels = known.camera.project(rays @ known.camera.T_camera_world[:3, :3] + known.camera.position)[0]
     shifts, total = _shifts(known.camera, T, pixels), 0.0
@@ -217,7 +217,7 @@ def _by_the_lens(known: UncertainCamera, turned: Camera, rays: Array) -> float:
 
 
 def _shifts(camera: Camera, T: Array, pixels: Array) -> Array:
-    """(N, 2) how far pixels move when the camera is turned by T (4, 4) in its own frame."""
+    """Return (N, 2) shifts of pixels when the camera is turned by T (4, 4) in its own frame."""
     rays, valid = camera.rays(pixels)
     turned = replace(camera, T_camera_world=T)
     seen, _, before = turned.project(rays)
@@ -225,18 +225,18 @@ def _shifts(camera: Camera, T: Array, pixels: Array) -> Array:
 
 
 def moved_evidence(evidence: Evidence, camera: Camera, registered: Registration) -> Evidence:
-    """Move marks to where the turned camera shows them; the error of the registration is added to theirs.
+    """Transform marks to the image of the turned camera, and add the error of the registration to theirs.
 
     Args:
-        evidence: The marks in the old picture.
-        camera: The camera that took the old picture.
-        registered: The camera that took the new one, turned, and how far off corners are.
+        evidence: The marks in the old image.
+        camera: The camera of the old image.
+        registered: The turned camera of the new image, and the residual of the corners.
 
     Returns:
-        The same evidence with marks in pixels of the new picture; what is known of the camera besides stays.
+        The same evidence with marks in pixels of the new image; other evidence is unchanged.
 
     Raises:
-        UserError: The new picture cannot show one of the marks.
+        UserError: A mark lies outside the view of the turned camera's lens.
     """
 
     def moved(pixels: Array) -> Array:
@@ -260,10 +260,10 @@ def moved_evidence(evidence: Evidence, camera: Camera, registered: Registration)
 
 
 def turned_known(known: UncertainCamera, registered: Registration) -> UncertainCamera:
-    """The turned camera, as uncertain as the old one and its turn are, and as a move that corners hide."""
+    """Return the turned camera with the uncertainty of the old one, of the turn, and of a move that corners miss."""
     motion = registered.motion
     sigmas = (motion.sigma_px, motion.sigma_px, motion.sigma_turn)
-    # A camera that is moved by so much sees corners near by as far off as they are.
+    # A camera moved by this much shifts nearby corners by the size of their residuals.
     hidden = registered.off_px * registered.near_m / float(known.camera.K[0, 0])
     return known.of_camera(registered.camera).widened(
         {TURN_ANGLES: covariance_of_turns(registered.camera, sigmas), ("x", "y", "z"): hidden**2 * np.eye(3)}
@@ -271,21 +271,21 @@ def turned_known(known: UncertainCamera, registered: Registration) -> UncertainC
 
 
 def _known(path: Path | None, shape: tuple[int, int], picture: str) -> tuple[UncertainCamera, str]:
-    """The old camera at the size of its picture, and a sentence where it was scaled."""
+    """Return the old camera at the size of its image, and a sentence if it was scaled."""
     if path is None:
-        raise UserError("--refit: needs the old camera: --points with what was marked, or --camera with its file")
+        raise UserError("--refit: needs the old camera: --points with its marks, or --camera with its file")
     camera, posed = read_camera(path, shape)
     if not posed:
-        raise UserError(f"{path}: T_camera_world: missing: nothing says where the camera hung")
+        raise UserError(f"{path}: T_camera_world: missing: the pose of the old camera is unknown")
     known = read_uncertain_camera(path)
     if known is None:
-        raise UserError(f"{path}: covariance: missing: nothing says how well the old camera is known")
+        raise UserError(f"{path}: covariance: missing: the uncertainty of the old camera is unknown")
     camera, scaled = fitted_camera(camera, shape, str(path), picture)
     return known.of_camera(camera), scaled
 
 
 def _split(source: str) -> tuple[str, float | None]:
-    """A file, and the second that is named with it."""
+    """Split a source into its file and the second after "@"."""
     name, at, seconds = source.rpartition("@")
     if not at or Path(source).exists():
         return source, None
@@ -299,14 +299,14 @@ def _split(source: str) -> tuple[str, float | None]:
 
 
 def _frame(source: str, *, at_rest: bool) -> Pixels:
-    """A picture, or a frame of a video: the first, or of a swaying camera that which is nearest to where it rests."""
+    """Read an image, or a frame of a video: the first, or for a shaking camera the one nearest to its rest position."""
     name, seconds = _split(source)
     begin = seconds or 0.0
     footage = open_footage(name, FrameRange(start_s=begin, end_s=begin + REFIT_LIMITS.rest_s))
     if footage.clip is not None and footage.clip.live:
         raise UserError(f"{name}: a live stream cannot be read again; record it to a file first")
     if footage.clip is None and (seconds is not None or len(footage.images) > 1):
-        raise UserError(f"{source}: expected one picture, or a video")
+        raise UserError(f"{source}: expected one image, or a video")
     watch, frames = CameraShakeEstimator(), dict[int, Pixels]()
     for image, pixels in watch.watch(footage.frames()):
         frames[image.id] = pixels
@@ -324,5 +324,5 @@ def _frame(source: str, *, at_rest: bool) -> Pixels:
 
 
 def _saved(source: str) -> Any:
-    """Time at which the new picture was saved, ISO 8601."""
+    """Return the time at which the new image was saved, ISO 8601."""
     return datetime.fromtimestamp(int(Path(_split(source)[0]).stat().st_mtime), UTC).isoformat()

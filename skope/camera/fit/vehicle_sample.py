@@ -1,4 +1,4 @@
-"""Vehicles of a scene to fit a camera or a road to: those that show enough, in views spread along their ways."""
+"""Select vehicles of a scene to fit a camera or a road to: those with enough keypoints, in views along their paths."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,22 +19,22 @@ from skope.types import Array, Mask
 
 @dataclass(frozen=True)
 class SampleLimits:
-    """Limits of the views of vehicles that calibrate a camera."""
+    """Limits for the views of vehicles that calibrate a camera."""
 
     fewest_vehicles: int = 5
-    """Smallest number of vehicles for a camera."""
+    """Minimum number of vehicles for a camera."""
     fewest_keypoints: int = 8
-    """Smallest number of visible keypoints of a view."""
+    """Minimum number of visible keypoints of a view."""
     least_edge_px: float = 48.0
-    """Smallest longer edge of a view's box, pixels."""
+    """Minimum longer edge of a view's box, pixels."""
     hiding_iou: float = 0.1
-    """Overlap (IoU) with another box from which one vehicle may hide the other."""
+    """Minimum overlap (IoU) of two boxes at which one vehicle may hide the other."""
     most_views: int = 6
     """Maximum number of views of a vehicle."""
     most_images: int = 500
-    """Maximum number of images in which standing vehicles are searched for."""
+    """Maximum number of images in which stationary vehicles are searched for."""
     view_distance: float = 0.3
-    """Least distance between views of a vehicle, in lengths of the longer edge of its box."""
+    """Minimum distance between views of a vehicle, in lengths of the longer edge of its box."""
 
 
 SAMPLE_LIMITS: Final = SampleLimits()
@@ -42,7 +42,7 @@ SAMPLE_LIMITS: Final = SampleLimits()
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Views of vehicles, and how they were told apart."""
+    """Selected views of vehicles, and whether vehicles have numbers."""
 
     views: VehicleViews
     numbered: bool
@@ -53,7 +53,7 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A view that may be taken: where it lies in the scene."""
+    """View that may be selected, with its position in the scene."""
 
     image: int
     row: int
@@ -72,18 +72,18 @@ def sample_vehicles(
     sigma_px: float | None,
     fewest: int = SAMPLE_LIMITS.fewest_vehicles,
 ) -> Sample:
-    """Draw vehicles that show enough, moving ones first, and views of each that are apart from one another.
+    """Select vehicles with enough keypoints, moving ones first, and separate views of each.
 
     Args:
         scene: Images of one camera, and the keypoints in them.
-        count: At most so many vehicles.
-        score: Detections above this are taken.
+        count: Maximum number of vehicles.
+        score: Minimum score of detections.
         noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
         sigma_px: Standard deviation of a keypoint, pixels; None as in `Scene.views`.
-        fewest: At least so many vehicles.
+        fewest: Minimum number of vehicles.
 
     Raises:
-        UserError: The images differ in size, or too few vehicles show enough.
+        UserError: The images differ in size, or too few vehicles show enough keypoints.
     """
     if not scene.file.images:
         raise UserError(f"{scene.file.name}: no images")
@@ -104,7 +104,7 @@ def sample_vehicles(
             lower.append((view.boxes[:, :2] + view.boxes[:, 2:] * [0.5, 1.0])[~view.interpolated])
         for row in np.flatnonzero(_shows_enough(view)).tolist():
             x, y, w, h = view.boxes[row].tolist()
-            # What has no number is a vehicle by itself, under one of its own.
+            # A detection without a number counts as a separate vehicle with a new number.
             number = int(numbers[row]) if numbers[row] >= 0 else -1 - len(of_vehicle)
             candidate = _Candidate(i, row, np.array([x + w / 2, y + h / 2]), max(w, h))
             of_vehicle.setdefault(number, []).append(candidate)
@@ -129,7 +129,7 @@ def sample_vehicles(
 
 
 def _numbered(views: Iterator[View]) -> Iterator[tuple[View, NDArray[np.int64]]]:
-    """Each image with the numbers of its vehicles; where the file has none, by their boxes; -1 where nothing tells."""
+    """Yield each image with the numbers of its vehicles, from the file or from their boxes; -1 if unknown."""
     links, before_s = BoxLinks(), None
     for view in views:
         numbers, time_s = view.tracks, view.image.time_s
@@ -142,7 +142,7 @@ def _numbered(views: Iterator[View]) -> Iterator[tuple[View, NDArray[np.int64]]]
 
 
 def _shows_enough(view: View) -> Mask:
-    """(N,) which vehicles show enough keypoints, large enough, with nothing before them."""
+    """Return (N,) whether vehicles show enough keypoints, are large enough and have nothing in front of them."""
     large = view.boxes[:, 2:].max(axis=1, initial=0) >= SAMPLE_LIMITS.least_edge_px
     many = (view.found[..., 2] > KEYPOINT_WEIGHTS.least_probability).sum(axis=1) >= SAMPLE_LIMITS.fewest_keypoints
     rectangles = box_math.xywh_to_xyxy(view.boxes)
@@ -153,10 +153,10 @@ def _shows_enough(view: View) -> Mask:
 
 
 def _spread_out(candidates: Sequence[_Candidate]) -> list[_Candidate]:
-    """Views evenly along a vehicle's way through the image; one of a vehicle that stands."""
+    """Return views evenly spaced along a vehicle's path in the image; one view of a stationary vehicle."""
     middles = np.array([one.middle for one in candidates])
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middles, axis=0), axis=1))])
-    if np.ptp(middles, axis=0).max() < SAMPLE_LIMITS.view_distance * candidates[0].edge:  # a detector's boxes tremble
+    if np.ptp(middles, axis=0).max() < SAMPLE_LIMITS.view_distance * candidates[0].edge:  # detected boxes jitter
         return [candidates[len(candidates) // 2]]
     edge = float(np.median([one.edge for one in candidates]))
     count = int(min(SAMPLE_LIMITS.most_views, 1 + way[-1] // (SAMPLE_LIMITS.view_distance * edge)))

@@ -1,6 +1,6 @@
-"""`skope eval camera`: a camera file from vehicles, its figures in words, and its scale from known lengths.
+"""`skope eval camera`: write a camera file from vehicles, report it, and correct its scale with known lengths.
 
-The mean size of a country's vehicles cannot be read off an image, and every distance scales with it. A length measured
+The mean vehicle size of a country cannot be measured in an image, and every distance scales with it. A length measured
 on the road (a dash, a lane's width, a kerb) corrects the scale.
 """
 
@@ -34,15 +34,15 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class KnownLengthErrors:
-    """Errors of lengths and camera properties that the user gives."""
+    """Errors of lengths and camera properties given by the user."""
 
     end_px: float = 1.0
     """Standard deviation of a marked end of a length, pixels per axis."""
     length_share: float = 0.01
     """Relative standard deviation of a measured length."""
     contradiction: float = 3.0
-    """Difference between a length and its estimate from vehicles, in standard deviations, from which one of them is
-    wrong."""
+    """Minimum difference between a length and its estimate from vehicles, in standard deviations, at which the length
+    is rejected."""
     step_px: float = 0.1
     """Step of numerical derivatives, pixels."""
     property_share: float = 0.02
@@ -54,20 +54,20 @@ LENGTH_ERRORS: Final = KnownLengthErrors()
 
 @dataclass(frozen=True, eq=False)
 class KnownLength:
-    """A straight line on the road."""
+    """Straight line of known length on the road."""
 
     ends: Array
-    """(2, 2) column and row of its ends, pixels."""
+    """(2, 2) column and row of both ends, pixels."""
     metres: float
 
     def log_under(self, unknowns: Array, size: tuple[int, int]) -> Array:
-        """The logarithm of its length under the camera with the unknowns (5,)."""
+        """Return the logarithm of the length under the camera with the unknowns (5,)."""
         begin, end = on_road(camera_of_unknowns(unknowns, size), self.ends)
         return np.asarray(np.log(np.linalg.norm(end - begin) + 1e-9))
 
 
 def corrected(estimate: CameraEstimate, lengths: Sequence[KnownLength]) -> CameraEstimate:
-    """The estimate with known lengths, each taken in as Kalman's filter takes in a measurement.
+    """Correct an estimate with known lengths, each as a measurement of a Kalman filter.
 
     Raises:
         UserError: A length contradicts the vehicles, or an end lies at the horizon.
@@ -83,8 +83,8 @@ def corrected(estimate: CameraEstimate, lengths: Sequence[KnownLength]) -> Camer
         if not abs(away) < LENGTH_ERRORS.contradiction * math.sqrt(variance):
             (a, b), (c, d) = length.ends.tolist()
             raise UserError(
-                f"--length {a:g},{b:g},{c:g},{d:g},{length.metres:g}: under the camera that the vehicles tell this is "
-                f"{math.exp(says):.3g} m: it is not on the road, the road is no plane, or one of the numbers is wrong"
+                f"--length {a:g},{b:g},{c:g},{d:g},{length.metres:g}: under the camera from the vehicles this is "
+                f"{math.exp(says):.3g} m: it is not on the road, the road is not a plane, or a number is wrong"
             )
         unknowns = unknowns + across * away / variance
         covariance = covariance - np.outer(across, across) / variance
@@ -99,7 +99,7 @@ def corrected(estimate: CameraEstimate, lengths: Sequence[KnownLength]) -> Camer
 
 
 def _variance(length: KnownLength, unknowns: Array, size: tuple[int, int]) -> float:
-    """Variance of the logarithm of a length through its marking and measuring."""
+    """Return the variance of the logarithm of a length, from marking and measuring."""
 
     def marked(ends: Array) -> Array:
         return replace(length, ends=ends.reshape(2, 2)).log_under(unknowns, size)
@@ -109,13 +109,13 @@ def _variance(length: KnownLength, unknowns: Array, size: tuple[int, int]) -> fl
 
 
 class VehicleCamera(NamedTuple):
-    """A camera that vehicles have told."""
+    """Camera that was estimated from vehicles."""
 
     estimate: CameraEstimate
     told: str
-    """Vehicles that have told it, in words."""
+    """Number of vehicles and views, in words."""
     numbered: bool
-    """Whether it was known which views are of the same vehicle."""
+    """Whether the views of one vehicle are known to be the same vehicle."""
 
 
 def camera_of_vehicles(
@@ -132,16 +132,16 @@ def camera_of_vehicles(
 
     Args:
         scene: Images of one camera, and the keypoints in them.
-        count: Use at most so many vehicles.
-        score: Detections above this are taken.
+        count: Maximum number of vehicles.
+        score: Minimum score of detections.
         noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
         sigma_px: Standard deviation of a keypoint, pixels; None as in `Scene.views`.
-        height: The camera's height over the road, metres, if that is known.
-        fov_deg: The horizontal field of view, degrees, if that is known.
+        height: The camera's height over the road, metres; None: unknown.
+        fov_deg: The horizontal field of view, degrees; None: unknown.
 
     Raises:
-        UserError: The images say that their pixels are not square, the vehicles do not tell the camera, or the camera
-            that they tell does not hold together.
+        UserError: The pixels are not square, the vehicles do not determine the camera, or the estimated camera is
+            implausible.
     """
     if width := scene.file.info.get(PIXEL_WIDTH):
         raise UserError(
@@ -172,18 +172,18 @@ def from_vehicles(
     lengths: Sequence[KnownLength],
     out: Path,
 ) -> Iterator[str]:
-    """Fit a camera to the vehicles of a scene and write its file; yields lines on what was found.
+    """Fit a camera to the vehicles of a scene, write its file, and yield lines that report the result.
 
     Args:
         scene: Images of one camera, and the keypoints in them.
-        folder: Where the scene's results lie, for the command that comes next; None: it is not named.
-        count: Use at most so many vehicles.
-        score, noise, sigma_px, height, fov_deg: As `camera_of_vehicles` takes them.
-        lengths: Lengths that are known, which correct the scale; there may be none.
-        out: The camera file, which must not be there with other content.
+        folder: Folder of the scene's results, for the suggested next command; None: no suggestion.
+        count: Maximum number of vehicles.
+        score, noise, sigma_px, height, fov_deg: As in `camera_of_vehicles`.
+        lengths: Known lengths that correct the scale; may be empty.
+        out: The camera file; it must not exist with other content.
 
     Raises:
-        UserError: The vehicles do not tell the camera, or the camera that they tell does not hold together.
+        UserError: The vehicles do not determine the camera, or the estimated camera is implausible.
     """
     if scene.left_out:
         yield scene.left_out
@@ -207,7 +207,7 @@ def from_vehicles(
         "calibrated": {"from": told, **_part_of(scene)},
     }
     yield from write_camera(out, fit.camera, besides)
-    yield told if numbered else f"{told}; nothing tells which are the same vehicle, so that each counts as one"
+    yield told if numbered else f"{told}; the file has no track numbers, so each view counts as one vehicle"
     yield from camera_figures(
         focal=(fit.camera.K[0, 0], fit.sigma_focal),
         pitch=(pitch, fit.sigma_pitch),
@@ -216,14 +216,14 @@ def from_vehicles(
     )
     yield (
         f"distances and speeds: all within {INTERVAL_SIGMAS * ways:.0%} of the truth, in one direction (90%), "
-        f"if the images are what the camera saw, neither squeezed nor cropped"
+        f"if the images are neither squeezed nor cropped"
     )
     if folder is not None:
         yield f"next: skope eval track {shlex.quote(str(folder))} --camera {shlex.quote(str(out))}"
 
 
 def _part_of(scene: Scene) -> dict[str, Any]:
-    """The part of the footage that was taken, where the camera was moved in it."""
+    """Return the used part of the footage, if the camera was moved during it."""
     if not scene.left_out:
         return {}
     times = [image.time_s for image in scene.file.images]
@@ -231,7 +231,7 @@ def _part_of(scene: Scene) -> dict[str, Any]:
 
 
 def camera_figures(**values: tuple[float, float]) -> Iterator[str]:
-    """Lines with the camera's figures and their 90% intervals. Angles are radians, each with its standard deviation."""
+    """Yield lines with the camera's parameters and their 90% intervals. Angles are radians with standard deviations."""
     (focal, focal_sigma), (height, height_sigma) = values["focal"], values["height"]
     yield f"focal length {focal:.0f} px (90%: {_logarithmic(focal, focal_sigma, 0)})"
     angles = {
@@ -245,13 +245,13 @@ def camera_figures(**values: tuple[float, float]) -> Iterator[str]:
 
 
 def _logarithmic(value: float, sigma: float, digits: int) -> str:
-    """The 90% interval of a value whose logarithm is uncertain."""
+    """Return the 90% interval of a value with an uncertain logarithm, as text."""
     factor = math.exp(INTERVAL_SIGMAS * sigma / value)
     return f"{value / factor:.{digits}f} to {value * factor:.{digits}f}"
 
 
 def known_of(height: float | None, fov_deg: float | None, width: int) -> Known:
-    """Prior knowledge of a camera of which somebody gives the height or the field of view.
+    """Return the prior of a camera with a given height or field of view.
 
     Args:
         height: Height over the road, metres; None: not given.
@@ -271,7 +271,7 @@ def known_of(height: float | None, fov_deg: float | None, width: int) -> Known:
 
 
 def known_length(text: str) -> KnownLength:
-    """The length that `--length` gives: column and row of one end, of the other, and metres."""
+    """Read a length of `--length`: column and row of the first end, of the second end, and metres."""
     try:
         *ends, metres = [float(part) for part in text.split(",")]
     except ValueError:
@@ -282,22 +282,22 @@ def known_length(text: str) -> KnownLength:
 
 
 def doubt(name: Path | str, distance_sigma: float) -> str:
-    """Common error of all distances under a camera, in words."""
+    """Return a sentence on the common error of all distances under a camera."""
     return (
         f"{name}: all distances and speeds may be off by {INTERVAL_SIGMAS * distance_sigma:.0%}, in one direction (90%)"
     )
 
 
 def write_camera(out: Path, camera: Camera, besides: Mapping[str, Any]) -> Iterator[str]:
-    """Write a camera file, unless the same one is there; yields that.
+    """Write a camera file, unless an identical one exists; yield a line on it.
 
     Args:
         out: The .json file.
         camera: The camera.
-        besides: Further fields of the file, as JSON values.
+        besides: Additional fields of the file, as JSON values.
 
     Raises:
-        UserError: The file cannot be written, or holds something else.
+        UserError: The file cannot be written, or exists with other content.
     """
     document = {"width": camera.width, "height": camera.height, **camera.to_dict(), **besides}
     write_new(out, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())

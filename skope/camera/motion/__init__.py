@@ -1,1 +1,1 @@
-"""A camera that moves: image shifts, shake, changes of view, and poses corrected for them."""
+"""Motion of a camera: image shifts, shake, changes of view, and corrected poses."""

@@ -1,8 +1,8 @@
-"""A camera that sways while it takes footage: turned frame by frame, and how uncertain that leaves it.
+"""Camera shake during footage: the camera's turn in each frame, and the remaining uncertainty.
 
-A mast or bracket that sways turns its camera about a point that is near to it, against how far away roads are: what
-moves the image is the turn. At rest the camera is as it was calibrated, but for where in its sway the picture was taken
-by which it was: nothing tells that, so that the sway itself is part of how uncertain the camera is.
+A vibrating mast or bracket turns its camera about a nearby point, compared with the distance to the road. The image
+therefore moves by a turn. At rest, the camera is as calibrated. The phase of the shake at which the calibration image
+was taken is unknown, so the shake itself is part of the camera's uncertainty.
 """
 
 import math
@@ -23,7 +23,7 @@ from skope.types import Array
 MOTION_KEY: Final = "camera_motion"
 """Key in `info` of the frames: the camera shake, as `CameraMotion.to_dict` writes it."""
 MOVED_REASON: Final = "camera_moved"
-"""Reason for a vehicle without a place: the camera was moved after it had been calibrated."""
+"""Reason for a vehicle without a position: the camera was moved after its calibration."""
 TURN_ANGLES: Final = ("pitch", "roll", "yaw")
 """Camera parameters that a turn changes."""
 _DIFFERENCE_STEPS: Final = np.array([0.5, 0.5, 1e-3])
@@ -32,10 +32,10 @@ _DIFFERENCE_STEPS: Final = np.array([0.5, 0.5, 1e-3])
 
 @dataclass(frozen=True, eq=False)
 class CameraMotion:
-    """Sway of a camera while it took footage."""
+    """Shake of a camera during footage."""
 
     frames: Mapping[int, ImageMotion]
-    """By `Image.id`, how far the image is from where it is at rest; frames of which that is not known are not here."""
+    """Displacement of the image from rest, by `Image.id`; frames without a known displacement are missing."""
     sway: tuple[float, float, float]
     """Standard deviations of x and y (pixels) and of the turn (radians) over the footage."""
 
@@ -51,25 +51,25 @@ class CameraMotion:
 
     def __str__(self) -> str:
         return (
-            f"the camera sways by {self.median_px:.1f} px in the median, {self.largest_px:.1f} px at most: "
-            "taken out frame by frame"
+            f"camera shake of {self.median_px:.1f} px in the median, {self.largest_px:.1f} px at most: "
+            "corrected in each frame"
         )
 
     def camera_in(self, camera: Camera, image_id: int) -> Camera:
-        """The camera, which at rest is `camera`, in a frame; at rest where the frame's motion is not known."""
+        """Return the camera in a frame, given the `camera` at rest; at rest if the frame's motion is unknown."""
         motion = self.frames.get(image_id)
         return camera if motion is None else turned_camera(camera, motion.x, motion.y, motion.turn)
 
     def stilled(self, camera: Camera | None, image: Image, pixels: Array) -> Array:
-        """Move pixels of a frame to where they lie at rest.
+        """Move pixels of a frame to their position at rest.
 
         Args:
-            camera: The camera at rest; None: its lens is not known, and the image is moved and turned as a plane.
-            image: The frame; where its motion is not known it is taken to be at rest, as in `camera_in`.
-            pixels: (..., 2) in the frame.
+            camera: The camera at rest; None: the lens is unknown, and the image is moved and turned as a plane.
+            image: The frame; if its motion is unknown it counts as at rest, as in `camera_in`.
+            pixels: (..., 2) pixels in the frame.
 
         Returns:
-            (..., 2) in the image at rest; NaN beyond the lens.
+            (..., 2) pixels in the image at rest; NaN beyond the lens.
         """
         motion = self.frames.get(image.id)
         if motion is None:
@@ -86,18 +86,18 @@ class CameraMotion:
         return np.where((valid & before)[..., None], seen, np.nan)
 
     def rest_in(self, camera: Camera, image_id: int) -> UncertainCamera:
-        """Remaining uncertainty of the camera in a frame: from frame to frame another error."""
+        """Return the remaining uncertainty of the camera in a frame, independent from frame to frame."""
         motion = self.frames.get(image_id)
         sigmas = self.sway if motion is None else (motion.sigma_px, motion.sigma_px, motion.sigma_turn)
         return UncertainCamera(self.camera_in(camera, image_id), TURN_ANGLES, covariance_of_turns(camera, sigmas))
 
     def at_rest(self, camera: Camera, known: UncertainCamera | None) -> UncertainCamera:
-        """Uncertainty of the camera at rest, which was calibrated somewhere in its sway."""
+        """Return the uncertainty of the camera at rest, which was calibrated at an unknown phase of its shake."""
         known = known or UncertainCamera(camera, (), np.zeros((0, 0)))
         return known.of_camera(camera).widened({TURN_ANGLES: covariance_of_turns(camera, self.sway)})
 
     def to_dict(self) -> dict[str, Any]:
-        """The sway as `from_dict` reads it: pixels to 0.0001, angles to 1e-7 radians."""
+        """Return the shake as `from_dict` reads it: pixels to 0.0001, angles to 1e-7 radians."""
         rows = [
             [number, *(round(v, 4) for v in (one.x, one.y)), round(one.turn, 7)]
             + [round(one.sigma_px, 4), round(one.sigma_turn, 7)]
@@ -112,7 +112,7 @@ class CameraMotion:
 
     @classmethod
     def from_dict(cls, name: str, value: Mapping[str, Any]) -> "CameraMotion":
-        """Read what `to_dict` makes; `name` is the file's. Raises UserError."""
+        """Read what `to_dict` returns; `name` is the file's. Raises UserError."""
         try:
             rows = np.array(value["frames"], dtype=np.float64).reshape(-1, 6)
             x, y, turn = (float(v) for v in value["sway"])
@@ -129,19 +129,19 @@ class CameraMotion:
 
 
 def motion_of_info(name: str, info: Mapping[str, Any]) -> CameraMotion | None:
-    """Sway of the frames' camera, as their `info` says; None: it stood still. Raises UserError."""
+    """Read the shake of the frames' camera from their `info`; None: it was still. Raises UserError."""
     told = info.get(MOTION_KEY)
     return CameraMotion.from_dict(name, told) if isinstance(told, Mapping) else None
 
 
 def turned_camera(camera: Camera, x: float, y: float, turn: float) -> Camera:
-    """Turn a camera about itself so that its image moves and turns as it is told.
+    """Turn a camera about itself so that its image moves and turns by given amounts.
 
     Args:
         camera: The camera at rest.
-        x: How far the image's middle moves to the right, pixels.
-        y: How far it moves down, pixels.
-        turn: How far the image turns about that place, radians, from x towards y.
+        x: Shift of the image's middle to the right, pixels.
+        y: Shift of the image's middle downwards, pixels.
+        turn: Turn of the image about that point, radians, from x towards y.
     """
     middle = np.array([camera.width, camera.height]) / 2
     rays = camera.rays(np.stack([middle, middle + [x, y]]))[0]
@@ -155,7 +155,7 @@ def turned_camera(camera: Camera, x: float, y: float, turn: float) -> Camera:
 
 
 def covariance_of_turns(camera: Camera, sigmas: tuple[float, float, float]) -> Array:
-    """(3, 3) covariance of pitch, roll and yaw, by standard deviations of x, y (pixels) and turn (radians)."""
+    """Return the (3, 3) covariance of pitch, roll and yaw from sigmas of x, y (pixels) and turn (radians)."""
     which = [CAMERA_PARAMETERS.index(name) for name in TURN_ANGLES]
     columns = []
     for step in np.diag(_DIFFERENCE_STEPS):
@@ -167,5 +167,5 @@ def covariance_of_turns(camera: Camera, sigmas: tuple[float, float, float]) -> A
 
 
 def _rotation(vector: Array) -> Array:
-    """(3, 3) rotation about a vector (3,) by as many radians as it is long."""
+    """Return the (3, 3) rotation about a vector (3,) by its length in radians."""
     return np.asarray(cv2.Rodrigues(vector)[0], dtype=np.float64)

@@ -1,7 +1,7 @@
-"""Shake of a video's camera, and its permanent moves: each frame is compared with the first one.
+"""Measure camera shake and permanent camera moves in a video by comparing each frame with the first one.
 
-Where a GPU runs the detector, image shifts are measured in a process of their own. In one process, each OpenCV call
-would wait for Python, which hands thousands of small jobs a second to the GPU, and the detector would wait for it.
+If a GPU runs the detector, image shifts are measured in a separate process. In one process, each OpenCV call would
+wait for Python, which hands thousands of small jobs per second to the GPU, and the detector would wait for OpenCV.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ from skope.schema import Image
 from skope.types import Array, Pixels
 
 _ONE_THREAD: Final = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
-"""Variables that keep libraries of linear algebra to one thread: for matrices as small as these more are slower."""
+"""Environment variables that limit linear algebra libraries to one thread, which is faster for small matrices."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class ShakeLimits:
     """Limits of measuring camera shake."""
 
     end_s: float = 10.0
-    """Time within which the measuring process ends after its pipes are closed, seconds."""
+    """Maximum time for the measuring process to end after its pipes are closed, seconds."""
     still_px: float = 0.1
     """Standard deviation of the shift, pixels per axis of an image `still_width_px` wide, below which the camera is
     still. Keypoints are ten times as uncertain."""
@@ -47,21 +47,21 @@ class ShakeLimits:
     """Duration before and after a move over which the mean image position is compared, seconds. Masts vibrate
     several times in it."""
     fewest_frames: int = 3
-    """Smallest number of frames of such a mean."""
+    """Minimum number of frames of such a mean."""
 
 
 SHAKE_LIMITS: Final = ShakeLimits()
 
 
 class MotionProcess:
-    """A process that holds pictures against a first one; it ends with this one, too. For one thread at a time."""
+    """Process that compares images with a first one. It ends with its parent. Use it from one thread at a time."""
 
     def __init__(self, first: SmallPicture) -> None:
-        """Start it; OSError where there can be no such process."""
+        """Start the process; raises OSError if it cannot be started."""
         self.size = first.size
-        # It imports what this process does.
+        # It imports the same modules as this process.
         paths = os.pathsep.join(os.path.abspath(path) for path in sys.path if isinstance(path, str))  # noqa: PTH100
-        # Its standard output is not for answers: libraries write there.
+        # Answers do not use its standard output, because libraries write there.
         read, write = os.pipe()
         main = f"from {__name__} import answer_pictures; answer_pictures({write})"
         try:
@@ -71,7 +71,7 @@ class MotionProcess:
                 stdout=subprocess.DEVNULL,
                 pass_fds=(write,),
                 env={**os.environ, **_ONE_THREAD, "PYTHONPATH": paths},
-                start_new_session=True,  # Ctrl-C is this process's to answer
+                start_new_session=True,  # Ctrl-C is handled by this process
             )
         except OSError:
             os.close(read)
@@ -87,7 +87,7 @@ class MotionProcess:
             raise
 
     def motion(self, picture: SmallPicture) -> ImageMotion | None:
-        """The same as `ReferencePicture.motion` of the first picture; UserError where the process has ended."""
+        """Return the result of `ReferencePicture.motion` of the first image; UserError if the process has ended."""
         self._send(picture)
         try:
             answer: ImageMotion | Exception | None = pickle.load(self._answers)
@@ -116,21 +116,21 @@ class MotionProcess:
             code = self._process.wait(SHAKE_LIMITS.end_s)
             if code >= 0:
                 return UserError(
-                    f"a process that measures the camera's sway ended by itself, with exit code {code}: does "
+                    f"a process that measures camera shake ended by itself, with exit code {code}: does "
                     f"`{sys.executable} -c 'import cv2'` work?"
                 )
         return UserError(
-            "a process that measures the camera's sway was killed, perhaps for want of memory; the same command goes "
-            "on from here"
+            "a process that measures camera shake was killed, perhaps for lack of memory; run the same command again "
+            "to resume"
         )
 
 
 def answer_pictures(answers_fd: int) -> None:
-    """Read pictures from standard input, the first one to hold the others against, and write their motions.
+    """Read images from standard input, compare them with the first, and write their motions.
 
-    `answers_fd` is the file that answers go to. It ends where the process that asks does, in whatever way.
+    `answers_fd` is the file descriptor for the answers. The function returns when the asking process ends.
     """
-    cv2.setNumThreads(1)  # there are others of its kind
+    cv2.setNumThreads(1)  # several of these processes run in parallel
     pictures = sys.stdin.buffer
     with (
         contextlib.suppress(EOFError, BrokenPipeError, pickle.UnpicklingError),
@@ -141,31 +141,31 @@ def answer_pictures(answers_fd: int) -> None:
             picture = pickle.load(pictures)
             try:
                 answer: ImageMotion | Exception | None = reference.motion(picture)
-            except Exception as error:  # raised again where the motion is asked for
+            except Exception as error:  # raised again in the process that asked for the motion
                 answer = error
             pickle.dump(answer, answers)
             answers.flush()
 
 
 class CameraShakeEstimator:
-    """Measures how far the image of each frame of a video is from the first one's, while the caller looks at it."""
+    """Measures the displacement of each frame of a video from the first one while the caller processes the frame."""
 
     def __init__(self, first: Pixels | None = None, processes: int = 0) -> None:
-        """Begin to watch a video.
+        """Prepare to measure a video.
 
         Args:
-            first: The footage's first frame, where a run goes on after it.
-            processes: Measure in so many processes of their own; 0: in a thread of this one.
+            first: The footage's first frame, if a run is resumed after it.
+            processes: Number of separate processes that measure; 0: a thread of this process.
         """
         self._first = None if first is None else SmallPicture.of(first)
         self._processes = processes
         self._begun: dict[int, Future[ImageMotion | None]] = {}
-        """By the number of the frame."""
+        """Pending motions by frame number."""
 
     def watch(self, frames: Iterable[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
-        """The frames as they come; single images, which have no times, are not measured.
+        """Yield the frames unchanged and measure them; single images, which have no times, are not measured.
 
-        The first one that has a time is what the others are held against, if nothing is yet.
+        The first frame with a time is the reference, unless one was given.
         """
         idle: SimpleQueue[_Measure] | None = None
         with ExitStack() as ends, ThreadPoolExecutor(max(1, self._processes)) as pool:
@@ -176,15 +176,15 @@ class CameraShakeEstimator:
                 yield image, pixels
 
     def taken(self, number: int) -> ImageMotion | None:
-        """The motion of a frame that was watched, by its number, which is then forgotten; None: it cannot be told."""
+        """Return and forget the motion of a frame, by its number; None if it could not be measured."""
         begun = self._begun.pop(number, None)
         return None if begun is None else begun.result()
 
     def _measures(self, pixels: Pixels, ends: ExitStack) -> "SimpleQueue[_Measure]":
-        """Start the measures of all frames from now on, one at a time each; `pixels` is the first of them."""
+        """Start the measuring objects for all further frames, one frame at a time each; `pixels` is the first frame."""
         first = self._first or SmallPicture.of(pixels)
         idle: SimpleQueue[_Measure] = SimpleQueue()
-        with suppress(OSError):  # where there can be no such processes, this one measures
+        with suppress(OSError):  # if the processes cannot be started, this one measures
             for _ in range(self._processes):
                 idle.put(ends.enter_context(closing(MotionProcess(first))))
         if idle.empty():
@@ -205,30 +205,29 @@ def _motion(idle: "SimpleQueue[_Measure]", pixels: Pixels) -> ImageMotion | None
 
 @dataclass(frozen=True, eq=False)
 class CameraShakeRecord:
-    """The motion of all frames of a video, against the first one."""
+    """Motion of all frames of a video, relative to the first one."""
 
     numbers: tuple[int, ...]
     """`Image.id` of each frame."""
     times_s: Array
-    """(N,) rising."""
+    """(N,) times of the frames, seconds, rising."""
     motions: tuple[ImageMotion | None, ...]
     width: int
-    """Of the images, pixels."""
+    """Width of the images, pixels."""
 
     def view_changes(self, looks: Sequence[tuple[float, str]]) -> list[ViewChange]:
-        """Times at which the view changes for good: where the image's mean place does, and else as `changes` has it of
-        looks.
+        """Return the permanent changes of the view: jumps of the mean image position, and otherwise those of `changes`.
 
-        Looks alone, which are half a second apart, may fall on one side of a sway again and again.
+        The small images alone, half a second apart, may repeatedly fall on one side of a shake.
         """
         return sorted([*self._moves(), *changes(looks, self._unmeasured)], key=lambda change: change.time_s)
 
     def motion(self, view_changes: Sequence[ViewChange]) -> CameraMotion | None:
-        """The camera's sway around its rest in each of its views; None: it stands still."""
+        """Return the camera's shake around its rest position in each of its views; None: it is still."""
         part = np.searchsorted([change.time_s for change in view_changes], self.times_s, side="right")
         values = self._values
         for change in view_changes:
-            if change.settled_s is not None:  # the movement to another view is no sway
+            if change.settled_s is not None:  # the movement to another view is not shake
                 values[(self.times_s >= change.time_s) & (self.times_s < change.settled_s)] = np.nan
         known = np.isfinite(values[:, 0])
         for k in np.unique(part):
@@ -251,20 +250,20 @@ class CameraShakeRecord:
 
     @property
     def _values(self) -> Array:
-        """(N, 3) x, y, turn; NaN where they are not known."""
+        """(N, 3) x, y, turn; NaN if unknown."""
         nothing = (np.nan,) * 3
         rows = [nothing if one is None else (one.x, one.y, one.turn) for one in self.motions]
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
     def _unmeasured(self, time_s: float) -> bool:
-        """Whether too few frames tell where the image lies from a time on."""
+        """Return whether too few frames after a time have a known motion."""
         soon = (self.times_s >= time_s) & (self.times_s < time_s + SHAKE_LIMITS.around_s)
         return int(np.isfinite(self._values[soon, 0]).sum()) < SHAKE_LIMITS.fewest_frames
 
     def _moves(self) -> list[ViewChange]:
-        """Changes of the view: times from which on the mean place of the image, over some seconds, is another one.
+        """Return changes of the view: times at which the mean image position over some seconds jumps.
 
-        Turns and zooms count by how far they move the image's left and right edge.
+        Turns and zooms count as the displacement of the image's left and right edge.
         """
         known = np.isfinite(self._values[:, 0])
         half = self.width / 2
@@ -274,7 +273,7 @@ class CameraShakeRecord:
         if not len(times):
             return []
         ends = np.searchsorted(times, times + SHAKE_LIMITS.around_s)
-        # Windows that the footage cuts short say less.
+        # Windows that are cut short by the footage are less reliable.
         whole = (ends - np.arange(len(times)) >= SHAKE_LIMITS.fewest_frames) & (
             times + SHAKE_LIMITS.around_s <= times[-1] + 1e-6
         )
@@ -297,29 +296,29 @@ class CameraShakeRecord:
 
 
 def _split(places: Array) -> int:
-    """Index at which places (N, 4) fall into two parts that lie each around a mean, with the least squares."""
+    """Return the index that splits positions (N, 4) into two parts with the least squares around their means."""
     count = np.arange(1, len(places))[:, None]
     sums = np.cumsum(places, axis=0)
     before, after = sums[:-1], sums[-1] - sums[:-1]
-    # The squares around two means are those around zero less these.
+    # The squares around two means equal those around zero less these.
     explained = (before**2 / count + after**2 / (len(places) - count)).sum(axis=1)
     return 1 + int(explained.argmax())
 
 
 def motion_to_row(motion: ImageMotion | None) -> list[float] | None:
-    """JSON values of a frame's motion, not rounded."""
+    """Return JSON values of a frame's motion, not rounded."""
     if motion is None:
         return None
     return [motion.x, motion.y, motion.turn, motion.sigma_px, motion.sigma_turn, motion.growth]
 
 
 def motion_of_row(row: Sequence[float] | None) -> ImageMotion | None:
-    """The motion of which `motion_to_row` has made this."""
+    """Return the motion of a row from `motion_to_row`."""
     return None if row is None else ImageMotion(*row)
 
 
 def record_of(images: Iterable[Image], motions: Iterable[ImageMotion | None], width: int) -> CameraShakeRecord:
-    """The record of the motions of images, which are `width` pixels wide; images without times are left out."""
+    """Return the record of the motions of images `width` pixels wide; images without times are left out."""
     timed = [
         (image.id, image.time_s, motion)
         for image, motion in zip(images, motions, strict=True)

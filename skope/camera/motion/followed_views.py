@@ -1,4 +1,4 @@
-"""Views of a moved camera that are followed: where each lies to the first one, and when the camera stood still in it.
+"""Register the views of a moved camera to the first view, and find when the camera is at rest in them.
 
 The footage is read again around each change. The median of its frames shows a view without traffic.
 """
@@ -20,18 +20,18 @@ from skope.video.footage import Footage, FrameRange
 
 @dataclass(frozen=True)
 class FollowedViewLimits:
-    """Images and times by which views of a moved camera are connected."""
+    """Images and times for registering the views of a moved camera."""
 
     image_s: float = 20.0
-    """Longest part of a view from which its image is made, seconds."""
+    """Maximum duration of a view's part from which its image is made, seconds."""
     image_frames: int = 25
     """Number of frames of that image."""
     margin_s: float = 1.0
-    """Frames closer than this to a change of view are left out, seconds. The camera may still be moving."""
+    """Time around a change of view within which frames are left out, seconds. The camera may still be moving."""
     margin_share: float = 0.25
-    """Largest such margin, as a share of the view's duration."""
+    """Maximum of this margin, as a share of the view's duration."""
     around_s: float = 3.0
-    """The movement is searched for within this time before and after a change, seconds."""
+    """Time before and after a change within which the movement is searched for, seconds."""
     older_views: int = 3
     """Number of earlier views that a new view is compared with, the latest first."""
 
@@ -41,7 +41,7 @@ FOLLOWED_VIEWS: Final = FollowedViewLimits()
 
 @dataclass(frozen=True, eq=False)
 class _Followed:
-    """A view whose homography is known."""
+    """View with a known homography."""
 
     begin_s: float
     end_s: float
@@ -49,7 +49,7 @@ class _Followed:
 
 
 def with_homographies(footage: Footage, changes: Sequence[ViewChange], end_s: float) -> list[ViewChange]:
-    """The changes of a video's view, with their homography from the first view where the pictures surely tell it.
+    """Return the changes of a video's view, with their homography from the first view if it is reliable.
 
     Args:
         footage: The video. A live stream cannot be read again: its changes stay as they are.
@@ -66,7 +66,7 @@ def with_homographies(footage: Footage, changes: Sequence[ViewChange], end_s: fl
     for group, stop_s in zip(groups, ends, strict=True):
         try:
             found = _follow(footage, group, stop_s, followed, before_s)
-        except UserError:  # the footage is not there any more
+        except UserError:  # the footage is no longer available
             found = None
         if found is not None and found.settled_s is not None and found.from_first is not None:
             followed.append(_Followed(found.settled_s, stop_s, found.from_first))
@@ -76,7 +76,7 @@ def with_homographies(footage: Footage, changes: Sequence[ViewChange], end_s: fl
 
 
 def _groups(changes: Sequence[ViewChange]) -> list[list[ViewChange]]:
-    """The changes, those together that follow one another at once: a camera that is moved step by step."""
+    """Group changes that follow one another immediately: a camera that is moved step by step."""
     out = list[list[ViewChange]]()
     for change in changes:
         if out and change.time_s - out[-1][-1].time_s < FOLLOWED_VIEWS.around_s:
@@ -89,14 +89,14 @@ def _groups(changes: Sequence[ViewChange]) -> list[list[ViewChange]]:
 def _follow(
     footage: Footage, group: Sequence[ViewChange], stop_s: float, followed: Sequence[_Followed], before_s: float
 ) -> ViewChange | None:
-    """One change for a group, with its homography from the first view; None where pictures do not surely tell it.
+    """Return one change for a group, with its homography from the first view; None if it is not reliable.
 
     Args:
         footage: The video.
-        group: Changes that follow one another at once.
+        group: Changes that follow one another immediately.
         stop_s: Time of the next change, or of the last frame, seconds.
-        followed: The earlier views whose homography is known.
-        before_s: Time from which the view before the changes is shown, seconds.
+        followed: The earlier views with a known homography.
+        before_s: Time at which the view before the changes begins, seconds.
     """
     first, last = group[0], group[-1]
     new = _picture(footage, last.time_s, stop_s, late=False)
@@ -123,7 +123,7 @@ def _follow(
 
 
 def _picture(footage: Footage, begin_s: float, end_s: float, *, late: bool) -> Pixels | None:
-    """(H, W, 3) a view without its traffic, of its first seconds or, `late`, its last; None: it has no frames."""
+    """Return (H, W, 3) a view without traffic, from its first seconds or, if `late`, its last; None without frames."""
     margin = min(FOLLOWED_VIEWS.margin_s, FOLLOWED_VIEWS.margin_share * (end_s - begin_s))
     low, high = begin_s + margin, end_s - margin
     low, high = (
@@ -139,16 +139,16 @@ def _picture(footage: Footage, begin_s: float, end_s: float, *, late: bool) -> P
 
 
 def _part(footage: Footage, begin_s: float, end_s: float) -> Footage:
-    """The frames of footage from one time to another, read independently of it."""
+    """Return the frames of footage between two times, read independently of it."""
     return replace(footage, cut=FrameRange(start_s=max(0.0, begin_s), end_s=end_s), skipped=[])
 
 
 def _movement(footage: Footage, time_s: float, old: Pixels, new: Pixels) -> tuple[float, float]:
-    """Time of the first frame after the camera had left a view, and of the first one in which it is at rest in another.
+    """Return the time of the first frame after the camera left a view, and of its first frame at rest in the next.
 
     Args:
         footage: The frames around the change.
-        time_s: About when the view changes, seconds.
+        time_s: Approximate time of the change, seconds.
         old: (H, W, 3) the first view.
         new: (H, W, 3) the second view.
     """
@@ -165,21 +165,21 @@ def _movement(footage: Footage, time_s: float, old: Pixels, new: Pixels) -> tupl
     first = next((k for k in range(left, len(times)) if in_new[k]), None)
     if first is None:
         return time_s, times[-1] if times else time_s
-    # A frame that is measured elsewhere is one of a camera that still swings; others may be hidden by traffic.
+    # A frame at another position shows a camera that still swings. An unmeasured frame may be hidden by traffic.
     elsewhere = max((k for k in range(first, len(times)) if in_new[k] is False), default=first - 1)
     settled = next((k for k in range(elsewhere + 1, len(times)) if in_new[k]), len(times) - 1)
     return times[left], times[settled]
 
 
 def _distance(motion: ImageMotion | None, width: int) -> float | None:
-    """How far a frame lies from a view, as a share of the image's width; None: it is not known."""
+    """Return the distance of a frame from a view, as a share of the image's width; None: unknown."""
     if motion is None:
         return None
     return float(np.hypot(motion.x, motion.y)) / width + max(abs(motion.turn), abs(motion.growth)) / 2
 
 
 def _is_at_rest(distance: float | None, to_other: float | None) -> bool | None:
-    """Whether a frame lies where a view does, by its distances from it and from another view; None: not known."""
+    """Return whether a frame is at rest in a view, from its distances to this and to another view; None: unknown."""
     if distance is None:
         return None
     return distance <= SHIFT_LIMITS.moved_share and (to_other is None or distance <= to_other)

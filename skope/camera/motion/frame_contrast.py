@@ -1,4 +1,4 @@
-"""Brightness and contrast of a video's frames: whether the camera saw anything in them."""
+"""Measure brightness and contrast of a video's frames, which show whether anything was visible."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,10 +13,10 @@ from skope.types import Pixels
 
 @dataclass(frozen=True)
 class ContrastMeasure:
-    """How the contrast of a frame is measured."""
+    """Settings for measuring the contrast of a frame."""
 
     square_px: int = 9
-    """Side of the squares whose contrast is measured, pixels of the small image."""
+    """Side of the squares for measuring contrast, pixels of the small image."""
     black: float = 0.02
     """Brightness that is added to the denominator. Noise in the dark is not contrast."""
     percentile: int = 75
@@ -27,15 +27,15 @@ CONTRAST_MEASURE: Final = ContrastMeasure()
 
 
 def visibility_rows(looks: Sequence[tuple[float, str]]) -> list[list[float]]:
-    """A row of time (s), brightness and contrast of each small picture, as `ViewSamples` takes them."""
+    """Return a row of time (s), brightness and contrast of each small image of `ViewSamples`."""
     return [[round(time_s, 4), *brightness_and_contrast(unpacked_look(packed))] for time_s, packed in looks]
 
 
 def brightness_and_contrast(grey: Pixels) -> tuple[float, float]:
-    """Mean brightness of a small grey picture (H, W), from 0 to 1, and its contrast.
+    """Return the mean brightness of a small grey image (H, W), from 0 to 1, and its contrast.
 
-    Contrast is the standard deviation within a square over the square's brightness, of the square that three quarters
-    of all have less than.
+    Contrast is the standard deviation within a square divided by the square's brightness. The 75th percentile of all
+    squares is returned.
     """
     values = grey.astype(np.float32) / 255
     size = (CONTRAST_MEASURE.square_px, CONTRAST_MEASURE.square_px)

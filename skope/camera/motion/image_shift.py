@@ -1,10 +1,9 @@
-"""Motion of a fixed camera's image since another one, measured here alone.
+"""Measure the motion of a fixed camera's image relative to a reference image; this is the only module that measures it.
 
-Coarsely, whole pictures of edges are held against each other, as light changes and edges of the background stay
-(phase correlation). Finely, corners of the first picture are followed into the other one from there (Lucas and Kanade's
-method; contrast is evened out before), and what most of them do together is the camera's: shift and turn in the image's
-middle. What a turned camera and its lens do besides grows with the square of the distance from there, and is fitted
-with them.
+A coarse step compares whole edge images, because light changes and background edges do not (phase correlation). A
+fine step then tracks corners of the first image into the second (Lucas and Kanade's method, after contrast
+normalisation). The motion of most of them is the camera's: shift and turn in the image's middle. Further displacements
+by a turned camera and its lens grow with the square of the distance from there, and are fitted as well.
 """
 
 import math
@@ -25,25 +24,25 @@ class ShiftLimits:
     coarse_width_px: int = 160
     """Width of the images that are compared as a whole, pixels."""
     moved_share: float = 0.006
-    """A view has moved if it moved by more than this share of the image's width."""
+    """Minimum displacement of a moved view, as a share of the image's width."""
     blocks: tuple[int, int] = (6, 10)
     """Rows and columns of blocks in which images are compared. Traffic hides some blocks, but not all."""
     same_correlation: float = 0.6
-    """Correlation of edges from which two blocks show the same."""
+    """Minimum correlation of edges of two equal blocks."""
     bare_ratio: float = 0.3
-    """Deviation of edges, relative to the whole image, below which a block shows nothing."""
+    """Deviation of edges, relative to the whole image, below which a block counts as empty."""
     same_share: float = 0.2
-    """Share of equal blocks from which two images show one view."""
+    """Minimum share of equal blocks of two images with one view."""
     unmoved_ratio: float = 0.9
     """A view has not moved if its old position fits at least this share as well."""
     least_edges: float = 0.03
     """Strength of edges, as a share of white, below which an image has too little texture."""
     fine_width_px: int = 640
-    """Largest width of the images in which corners are tracked, pixels."""
+    """Maximum width of the images in which corners are tracked, pixels."""
     most_corners: int = 300
     """Maximum number of corners."""
     corner_distance_px: float = 10.0
-    """Least distance between corners, pixels of these images."""
+    """Minimum distance between corners, pixels of these images."""
     blur_px: float = 8.0
     """Standard deviation of the neighbourhood in which contrast is normalised, pixels of these images."""
     blur_step: int = 4
@@ -51,28 +50,28 @@ class ShiftLimits:
     window_px: int = 15
     """Side of the window that is tracked around a corner, pixels."""
     round_trip_px: float = 0.3
-    """Largest distance of a corner from its start after it was tracked forth and back, pixels."""
+    """Maximum distance of a corner from its start after tracking forth and back, pixels."""
     fewest_corners: int = 12
-    """Smallest number of corners that must move together. A vehicle that fills the image has few of them."""
+    """Minimum number of corners that must move together. A vehicle that fills the image has few of them."""
     least_share: float = 0.3
-    """Smallest share of the first image's corners that must move together."""
+    """Minimum share of the first image's corners that must move together."""
     fit_rounds: int = 12
-    """Rounds of the robust fit."""
+    """Number of rounds of the robust fit."""
     floor_px: float = 0.03
     """Standard deviation that remains with any number of corners. Images are interpolated in steps of 1/32 pixel,
     and all corners share that error."""
     vague_px: float = 0.5
-    """A shift with a larger standard deviation is not known, pixels of these images."""
+    """Maximum standard deviation of a known shift, pixels of these images."""
 
 
 SHIFT_LIMITS: Final = ShiftLimits()
 
 
-# -------------------------------------------------------------------------------------------------- whole pictures
+# ------------------------------------------------------------------------------------------------------ whole images
 
 
 def small_grey(pixels: Pixels) -> Pixels:
-    """A picture (H, W, 3) RGB as a small grey one, `SHIFT_LIMITS.coarse_width_px` wide."""
+    """Return an image (H, W, 3) RGB as a small grey one, `SHIFT_LIMITS.coarse_width_px` wide."""
     return _shrunk(_grey(pixels), SHIFT_LIMITS.coarse_width_px)
 
 
@@ -81,23 +80,23 @@ def _grey(pixels: Pixels) -> Pixels:
 
 
 def _shrunk(grey: Pixels, width: int) -> Pixels:
-    """A grey picture (H, W) as one that is `width` pixels wide, each the mean of what it covers."""
+    """Shrink a grey image (H, W) to a width of `width` pixels by averaging areas."""
     size = (width, max(1, round(width * grey.shape[0] / grey.shape[1])))
     return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def edges(grey: Pixels) -> Array | None:
-    """(H, W) strength of edges of a small grey picture, of mean 0 and deviation 1; None where there are hardly any."""
+    """Return (H, W) edge strengths of a small grey image, with mean 0 and deviation 1; None without texture."""
     smooth = cv2.GaussianBlur(grey.astype(np.float32) / 255, (0, 0), 1.0)
     strength = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
     if strength.mean() < SHIFT_LIMITS.least_edges:
         return None
-    root = np.sqrt(strength)  # lamps and white cars shall not decide
+    root = np.sqrt(strength)  # reduces the influence of lamps and white cars
     return np.asarray((root - root.mean()) / root.std(), dtype=np.float64)
 
 
 def coarse_shift(one: Array, other: Array) -> tuple[float, float] | None:
-    """Shift of the edges from one picture to another, as shares of the width; None: they show different views."""
+    """Return the shift of the edges between two images, as shares of the width; None if they show different views."""
     height, width = one.shape
     if one.shape != other.shape:
         return None
@@ -113,7 +112,7 @@ def coarse_shift(one: Array, other: Array) -> tuple[float, float] | None:
 
 
 def _agreement(one: Array, other: Array) -> float:
-    """Share of the blocks of two pictures, of those that show something, in which their edges correlate."""
+    """Return the share of the non-empty blocks of two images in which edges correlate."""
     firsts = [
         [part[0] for part in np.array_split(np.arange(size), min(parts, size))]
         for size, parts in zip(one.shape, SHIFT_LIMITS.blocks, strict=True)
@@ -121,7 +120,7 @@ def _agreement(one: Array, other: Array) -> float:
     pixels = _block_sums(np.ones_like(one), firsts)
 
     def means(picture: Array) -> Array:
-        """Of each block."""
+        """Return the mean of each block."""
         return np.asarray(_block_sums(picture, firsts) / pixels)
 
     a, b = means(one), means(other)
@@ -134,7 +133,7 @@ def _agreement(one: Array, other: Array) -> float:
 
 
 def _block_sums(picture: Array, firsts: list[list[int]]) -> Array:
-    """The sum of each block; `firsts` are the first rows and the first columns of the blocks."""
+    """Return the sum of each block; `firsts` are the first rows and the first columns of the blocks."""
     return np.asarray(np.add.reduceat(np.add.reduceat(picture, firsts[0], axis=0), firsts[1], axis=1))
 
 
@@ -143,52 +142,52 @@ def _block_sums(picture: Array, firsts: list[list[int]]) -> Array:
 
 @dataclass(frozen=True)
 class ImageMotion:
-    """Motion of an image: what was at the image's middle is now beside it, and everything around it has turned."""
+    """Motion of an image: shift of the image's middle, and turn of everything around it."""
 
     x: float
-    """Pixels to the right."""
+    """Shift to the right, pixels."""
     y: float
-    """Pixels downwards."""
+    """Shift downwards, pixels."""
     turn: float
-    """Radians, from x towards y: clockwise as one sees it."""
+    """Turn, radians, from x towards y: clockwise on the screen."""
     sigma_px: float
     """Standard deviation of x and y each, pixels."""
     sigma_turn: float
     """Standard deviation of the turn, radians."""
     growth: float = 0.0
-    """Growth of everything in the image, as a share: a zoom."""
+    """Relative growth of everything in the image: a zoom."""
 
 
 @dataclass(frozen=True, eq=False)
 class FollowedCorners:
-    """Corners of one picture that were found in another one and move together with most others."""
+    """Corners of one image that were found in a second image and move together with most others."""
 
     before: Array
-    """(N, 2) pixels."""
+    """(N, 2) positions in the first image, pixels."""
     after: Array
-    """(N, 2) pixels."""
+    """(N, 2) positions in the second image, pixels."""
     sigma_px: float
-    """Standard deviation of their way, an axis."""
+    """Standard deviation of their displacement, pixels per axis."""
     all_before: Array
-    """(M, 2) all corners of the first picture, also those that were not found or move otherwise, pixels."""
+    """(M, 2) all corners of the first image, also those that were lost or move differently, pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class SmallPicture:
-    """The grey pictures that a picture is held against others of the same camera by."""
+    """Reduced grey versions of an image, for comparison with other images of the same camera."""
 
     size: tuple[int, int]
-    """Width and height of the picture itself, pixels."""
+    """Width and height of the full image, pixels."""
     coarse: Pixels
-    """(h, w) grey, `SHIFT_LIMITS.coarse_width_px` wide: compared as a whole."""
+    """(h, w) grey, `SHIFT_LIMITS.coarse_width_px` wide, for the comparison as a whole."""
     fine: Pixels
-    """(h, w) grey: corners are followed in it."""
+    """(h, w) grey, for tracking corners."""
     scale: float
-    """Width of `fine`, as a share of the picture's."""
+    """Width of `fine`, as a share of the full image's width."""
 
     @classmethod
     def of(cls, pixels: Pixels, width: int = SHIFT_LIMITS.fine_width_px) -> "SmallPicture":
-        """Make it of (H, W, 3) RGB; corners are followed in a picture `width` pixels wide at most."""
+        """Make it from (H, W, 3) RGB; corners are tracked in an image at most `width` pixels wide."""
         size, grey = (pixels.shape[1], pixels.shape[0]), _grey(pixels)
         scale = min(1.0, width / size[0])
         fine = grey if scale == 1 else _shrunk(grey, round(size[0] * scale))
@@ -196,7 +195,7 @@ class SmallPicture:
 
 
 class ReferencePicture:
-    """A picture that others of the same camera are held against."""
+    """Image that other images of the same camera are compared with."""
 
     def __init__(self, picture: SmallPicture) -> None:
         self.size = picture.size
@@ -209,9 +208,9 @@ class ReferencePicture:
         self._corners = np.asarray(np.zeros((0, 2)) if found is None else found.reshape(-1, 2), dtype=np.float32)
 
     def motion(self, picture: SmallPicture) -> ImageMotion | None:
-        """Measure how the image has moved up to another picture; None: it cannot be told, or shows another view.
+        """Measure the motion of the image to another image; None if it is not measurable or shows another view.
 
-        Raises ValueError where the sizes differ.
+        Raises ValueError if the sizes differ.
         """
         fit = self._fit(picture)
         if fit is None or fit.sigma_px > SHIFT_LIMITS.vague_px:
@@ -222,11 +221,11 @@ class ReferencePicture:
         )
 
     def followed(self, picture: SmallPicture) -> FollowedCorners | None:
-        """The corners that move together up to another picture; None as in `motion`."""
+        """Return the corners that move together to another image; None as in `motion`."""
         fit = self._fit(picture)
         if fit is None or fit.sigma_px > SHIFT_LIMITS.vague_px:
             return None
-        # Corners are at pixels that count their centres as whole numbers.
+        # Corner coordinates have pixel centres at whole numbers.
         before, after, every = ((xy + 0.5) / self._scale for xy in (fit.before, fit.after, self._corners.astype(float)))
         return FollowedCorners(before, after, fit.spread / self._scale, every)
 
@@ -251,7 +250,7 @@ class ReferencePicture:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """The motion that most corners share, in pixels of the pictures in which they were followed."""
+    """Motion that most corners share, in pixels of the images in which they were tracked."""
 
     x: float
     y: float
@@ -260,18 +259,18 @@ class _Fit:
     sigma_px: float
     sigma_turn: float
     spread: float
-    """Standard deviation of a corner's way around it, an axis."""
+    """Standard deviation of a corner's displacement from the fit, per axis."""
     before: Array
     after: Array
 
 
 def _evened(grey: Pixels) -> Pixels:
-    """A grey picture whose contrast is the same everywhere, so that light and shade do not count."""
+    """Return a grey image with uniform contrast, so that light and shade do not matter."""
     height, width = grey.shape
     coarse = (max(1, width // SHIFT_LIMITS.blur_step), max(1, height // SHIFT_LIMITS.blur_step))
 
     def around(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Means around each pixel, in pixels `SHIFT_LIMITS.blur_step` times as large: they vary so slowly."""
+        """Return means around each pixel, in pixels `SHIFT_LIMITS.blur_step` times as large: they vary slowly."""
         larger: Any = cv2.resize(picture, coarse, interpolation=cv2.INTER_AREA)
         return np.asarray(
             cv2.GaussianBlur(larger, (0, 0), SHIFT_LIMITS.blur_px / SHIFT_LIMITS.blur_step), dtype=np.float32
@@ -301,18 +300,18 @@ def _follow(
 
 
 def _fitted(before: Array, after: Array, shape: tuple[int, ...], least: int) -> _Fit | None:
-    """The motion of most corners (N, 2), by least squares with Tukey's weights; None where fewer than `least` agree."""
+    """Fit the motion of most corners (N, 2) with Tukey's weights; None if fewer than `least` agree."""
     half = shape[1] / 2
     x, y = ((before + 0.5 - [half, shape[0] / 2]) / half).T
     way = after - before
     middle = np.median(way, axis=0)
     design = _design(x, y)
-    # A turned camera's shift grows towards the edges by about as much again; that of one that stands still does not.
+    # The shift of a turned camera about doubles towards the edges; without a turn it stays the same.
     bend = float(np.hypot(*middle)) + 1e-3
     weight, spread = np.exp(-np.linalg.norm(way - middle, axis=1)), 1.0
     for _ in range(SHIFT_LIMITS.fit_rounds):
         told = np.repeat(weight, 2)[:, None] * design
-        # What is known of the bend counts as much as a corner that is as uncertain as these.
+        # The prior of the bend has the weight of one corner with the same uncertainty.
         normal = design.T @ told + np.diag([0.0] * 4 + [(spread / bend) ** 2] * 6)
         values = np.linalg.solve(normal + 1e-9 * np.eye(len(normal)), told.T @ way.ravel())
         off = np.linalg.norm(way - (design @ values).reshape(-1, 2), axis=1)
@@ -338,7 +337,7 @@ def _fitted(before: Array, after: Array, shape: tuple[int, ...], least: int) -> 
 
 
 def _design(x: Array, y: Array) -> Array:
-    """(2N, 10) how ways follow from shift, turn, growth and the bend, in coordinates of half a width."""
+    """Return (2N, 10) derivatives of displacements by shift, turn, growth and bend, in units of half a width."""
     one, none = np.ones_like(x), np.zeros_like(x)
     across = [one, none, -y, x, x * x, y * y, x * y, none, none, none]
     down = [none, one, x, y, none, none, none, x * x, y * y, x * y]

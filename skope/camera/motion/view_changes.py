@@ -1,8 +1,8 @@
-"""Changes of view in footage: a cut to another camera, or a camera that was turned or knocked.
+"""Detect changes of view in footage: a cut to another camera, or a camera that was turned or knocked.
 
-Small pictures of the footage, half a second apart, are held against the first one of a view: their edges, as light
-changes and edges of the background stay. A view that has changed and stays so is a new one; one that comes back was
-hidden or shaken meanwhile.
+Small images of the footage, half a second apart, are compared with the first one of a view by their edges, because
+light changes and background edges do not. A view that has changed and stays changed is a new view. A view that returns
+was hidden or shaken.
 """
 
 import base64
@@ -21,7 +21,7 @@ from skope.types import Array, Pixels
 
 @dataclass(frozen=True)
 class ViewChangeLimits:
-    """Sampling of footage for changes of view."""
+    """Settings for sampling footage for changes of view."""
 
     interval_s: float = 0.5
     """Time between compared frames, seconds."""
@@ -36,20 +36,20 @@ VIEW_CHANGES: Final = ViewChangeLimits()
 
 @dataclass(frozen=True)
 class ViewChange:
-    """A time from which footage shows another view."""
+    """Time at which footage changes to another view."""
 
     time_s: float
     cut: bool
-    """Whether nothing of the view before is seen; else the camera was turned."""
+    """Whether nothing of the previous view is visible; else the camera was turned."""
     shift: float
-    """Distance by which the view has moved, as a share of the image's width; 0 for a cut."""
+    """Displacement of the view, as a share of the image's width; 0 for a cut."""
     settled_s: float | None = None
-    """Time from which the camera stands still in the new view, where `from_first` is known, seconds."""
+    """Time from which the camera is at rest in the new view, if `from_first` is known, seconds."""
     from_first: ViewHomography | None = None
-    """Where pixels of the first view lie in this one; None: not surely known."""
+    """Homography from the first view to this one; None: not reliably known."""
 
     def to_dict(self) -> dict[str, Any]:
-        """The change as `info` of frames has it: pixels to 0.0001."""
+        """Return the change as in the `info` of frames: pixels to 0.0001."""
         row: dict[str, Any] = {"time_s": self.time_s, "cut": self.cut, "shift": self.shift}
         if self.from_first is None:
             return row
@@ -66,9 +66,9 @@ class ViewChange:
 
     @property
     def _followed(self) -> str:
-        """Whether the view is followed, in words that end a sentence."""
+        """Whether the view is registered, in words that end a sentence."""
         if self.from_first is None or self.settled_s is None:
-            return "; it is not surely known where the first view lies in it"
+            return "; the position of the first view in it is not reliably known"
         return (
             f"; it is followed from {self.settled_s:.1f} s on ({self.from_first.residual_px:.2f} px root mean square, "
             f"{self.from_first.corner_error_px:.2f} px at the corners)"
@@ -76,16 +76,16 @@ class ViewChange:
 
 
 class ViewSamples:
-    """Takes a small picture of footage every half a second."""
+    """Takes a small image of footage every half second."""
 
     def __init__(self, last_s: float | None = None) -> None:
-        """`last_s`: when the last one was taken, where a run goes on after it."""
+        """Begin; `last_s` is the time of the last image if a run is resumed after it."""
         self.taken: dict[int, str] = {}
-        """By the number of the frame."""
+        """Small images by frame number."""
         self._last_s = last_s
 
     def watch(self, frames: Iterable[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
-        """The frames as they come."""
+        """Yield the frames unchanged."""
         for image, pixels in frames:
             if image.time_s is not None and (
                 self._last_s is None or image.time_s - self._last_s >= VIEW_CHANGES.interval_s - 1e-6
@@ -96,11 +96,11 @@ class ViewSamples:
 
 
 def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] = lambda _: True) -> list[ViewChange]:
-    """Times at which the view changes for good, of looks with their times in seconds, which rise.
+    """Return the permanent changes of view in small images with rising times in seconds.
 
     Args:
-        looks: Small pictures, as `ViewSamples` takes them.
-        stays: Whether a camera that looks turned from a time on may be taken to be so; else it sways.
+        looks: Small images, as `ViewSamples` takes them, with their times.
+        stays: Whether a camera that appears turned from a time on can be accepted as turned; else it shakes.
     """
     out: list[ViewChange] = []
     reference: Array | None = None
@@ -116,7 +116,7 @@ def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] =
         if moved is not None and moved <= SHIFT_LIMITS.moved_share:
             pending = []
             continue
-        # What is pending counts as one change only while it shows one view.
+        # Pending images count as one change only while they show one view.
         if pending and not _shows(pending[0][1], shown):
             pending = []
         pending.append((time_s, shown, moved))
@@ -141,12 +141,12 @@ def _packed(pixels: Pixels) -> str:
 
 
 def unpacked_look(packed: str) -> Pixels:
-    """The small grey picture (H, W) that `ViewSamples` has taken."""
+    """Return the small grey image (H, W) that `ViewSamples` has taken."""
     small: Any = cv2.imdecode(np.frombuffer(base64.b64decode(packed), dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
     return np.asarray(small, dtype=np.uint8)
 
 
 def _moved(one: Array, other: Array) -> float | None:
-    """Distance by which a view has moved, as a share of the image's width; None where the two show different views."""
+    """Return the displacement of a view, as a share of the image's width; None if the two show different views."""
     shift = coarse_shift(one, other)
     return None if shift is None else float(np.hypot(*shift))

@@ -1,10 +1,10 @@
-"""Homography between two views of one fixed camera that was shifted, turned or zoomed, and the views of a video.
+"""Estimate the homography between two views of a fixed camera that was shifted, turned or zoomed; read a video's views.
 
-Features that both pictures share give a first homography. The second picture is warped back by it, and corners of the
-first picture are followed into the warped one. The homography of these corners is accepted only if they agree with it,
-lie all over the image, and give the same homography when only half of them is used.
+Features that both images share give a first homography. It warps the second image back, and corners of the first image
+are tracked into the warped one. The homography of these corners is accepted only if they agree with it, cover the
+image, and give the same homography when only half of them are used.
 
-`info` of a video's frames lists the views that it shows one after another, with the place of the first view in each.
+`info` of a video's frames lists its views in order, with the homography from the first view to each.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,26 +26,25 @@ class RegistrationLimits:
     """Limits of the homography between two views."""
 
     image_width_px: int = 1280
-    """Largest width of the compared images. Limits in pixels are pixels of these."""
+    """Maximum width of the compared images. Limits in pixels are pixels of these."""
     feature_ratio: float = 0.8
-    """Largest distance of a feature to its match, as a share of that to the second best match (Lowe's ratio test)."""
+    """Maximum ratio of a feature's distance to its best and second best match (Lowe's ratio test)."""
     fewest_features: int = 20
-    """Smallest number of features that agree with the first homography."""
+    """Minimum number of features that agree with the first homography."""
     feature_px: float = 3.0
-    """Largest distance of a feature from where the first homography puts it, pixels."""
+    """Maximum distance of a feature from its position under the first homography, pixels."""
     residual_px: float = 1.0
-    """Largest residual of the final homography, pixels."""
+    """Maximum residual of the final homography, pixels."""
     corner_error_px: float = 1.0
-    """Largest standard deviation of an image corner under the homography, pixels."""
+    """Maximum standard deviation of an image corner under the homography, pixels."""
     least_overlap: float = 0.6
-    """Smallest share of the image that both views show."""
+    """Minimum share of the image that both views show."""
     grid_parts: int = 4
     """Rows and columns of parts into which the overlap of both views is divided."""
     fewest_parts: int = 9
-    """Smallest number of these parts that have corners: more than half, so that a lorry beside the camera is not
-    enough."""
+    """Minimum number of these parts with corners: more than half, so that a lorry beside the camera is not enough."""
     fewest_per_part: int = 3
-    """Smallest number of corners in such a part."""
+    """Minimum number of corners in such a part."""
     moving_view: int = -1
     """Number of the view of frames that were taken while the camera moved."""
 
@@ -55,23 +54,23 @@ REGISTRATION_LIMITS: Final = RegistrationLimits()
 
 @dataclass(frozen=True, eq=False)
 class ViewHomography:
-    """Where the pixels of one view lie in another one."""
+    """Homography from the pixels of one view to those of a second view."""
 
     matrix: Array
     """(3, 3) homography of continuous pixel coordinates, first view to second view; its last element is 1."""
     residual_px: float
-    """Distance of corners from where the homography puts them, root mean square per axis, pixels."""
+    """Distance of corners from their position under the homography, root mean square per axis, pixels."""
     corner_error_px: float
-    """Uncertainty at the image's corners, pixels: half the largest distance between what two halves of the corners
-    give there."""
+    """Uncertainty at the image's corners, pixels: half the largest distance there between the homographies of two
+    halves of the corners."""
 
     def inverse(self) -> "ViewHomography":
-        """The homography from the second view to the first one, with the same errors."""
+        """Return the homography from the second view to the first one, with the same errors."""
         matrix = np.linalg.inv(self.matrix)
         return replace(self, matrix=matrix / matrix[2, 2])
 
     def then(self, further: "ViewHomography") -> "ViewHomography":
-        """The homography from the first view to a third one; `further` leads there from the second view."""
+        """Return the homography from the first view to a third one; `further` maps the second view to the third."""
         matrix = further.matrix @ self.matrix
         return ViewHomography(
             matrix / matrix[2, 2],
@@ -81,25 +80,25 @@ class ViewHomography:
 
 
 def transformed(matrix: Array, pixels: Array) -> Array:
-    """(..., 2) where a homography (3, 3) takes pixels (..., 2); NaN beyond its horizon."""
+    """Apply a homography (3, 3) to pixels (..., 2); NaN beyond its horizon."""
     xyw = pixels @ matrix[:, :2].T + matrix[:, 2]
     return np.where(xyw[..., 2:] > 1e-9, xyw[..., :2] / np.maximum(xyw[..., 2:], 1e-9), np.nan)
 
 
 def is_inside(pixels: Array, size: tuple[int, int]) -> Mask:
-    """(...) whether pixels (..., 2) lie in an image of a width and a height; NaN does not."""
+    """Return (...) whether pixels (..., 2) lie in an image of a width and a height; False for NaN."""
     return np.asarray(((pixels >= 0) & (pixels <= np.array(size))).all(axis=-1), dtype=bool)
 
 
 def register(before: Pixels, after: Pixels) -> ViewHomography | None:
-    """Find the homography from one view to another one.
+    """Estimate the homography from one view to a second one.
 
     Args:
-        before: (H, W, 3) RGB picture of the first view, best without traffic (a median of frames).
-        after: (H, W, 3) RGB picture of the second view.
+        before: (H, W, 3) RGB image of the first view, preferably without traffic (a median of frames).
+        after: (H, W, 3) RGB image of the second view.
 
     Returns:
-        The homography; None where the pictures do not surely tell it.
+        The homography; None if it is not reliable.
     """
     size = (before.shape[1], before.shape[0])
     if after.shape != before.shape:
@@ -108,7 +107,7 @@ def register(before: Pixels, after: Pixels) -> ViewHomography | None:
     rough = _of_features(first, second)
     if rough is None or not _overlaps(rough, size):
         return None
-    # Pixel coordinates of OpenCV have pixel centres at whole numbers.
+    # OpenCV's pixel coordinates have pixel centres at whole numbers.
     halves = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1.0]])
     back = halves @ np.linalg.inv(rough) @ np.linalg.inv(halves)
     warped: Any = cv2.warpPerspective(after, back, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -116,12 +115,12 @@ def register(before: Pixels, after: Pixels) -> ViewHomography | None:
     if corners is None:
         return None
     there = transformed(rough, corners.after)
-    kept = is_inside(there, size)  # what is beyond the second view was made up by the warp
+    kept = is_inside(there, size)  # the warp has no data outside the second view
     return _checked(corners.before[kept], there[kept], size, first.scale)
 
 
 def _of_features(first: SmallPicture, second: SmallPicture) -> Array | None:
-    """(3, 3) homography in pixels of the pictures that most shared features agree with; None where too few do."""
+    """Return the (3, 3) homography that most shared features agree with, in pixels; None if too few agree."""
     sift = cv2.SIFT.create(nfeatures=4000)
     (points, descriptors), (others, descriptions) = (sift.detectAndCompute(one.fine, None) for one in (first, second))
     if min(len(points), len(others)) < REGISTRATION_LIMITS.fewest_features:
@@ -146,7 +145,7 @@ def _of_features(first: SmallPicture, second: SmallPicture) -> Array | None:
 
 
 def _overlaps(matrix: Array, size: tuple[int, int]) -> bool:
-    """Whether both views share enough of their images, and neither is mirrored."""
+    """Return whether both views share enough of their images, and neither is mirrored."""
     grid = _grid(size)
     shares = []
     for H in (matrix, np.linalg.inv(matrix)):
@@ -159,7 +158,7 @@ def _overlaps(matrix: Array, size: tuple[int, int]) -> bool:
 
 
 def _checked(before: Array, after: Array, size: tuple[int, int], scale: float) -> ViewHomography | None:
-    """The homography of corners (N, 2) in both views; None where it fails a test of its quality."""
+    """Return the homography of corners (N, 2) in both views; None if it fails a quality test."""
     # Neighbours in this order go to different halves, so that both halves cover the image.
     order = np.lexsort((before[:, 0], before[:, 1] // (size[1] / 8)))
     halves = [_fit(before[order[k::2]], after[order[k::2]]) for k in (0, 1)]
@@ -177,7 +176,7 @@ def _checked(before: Array, after: Array, size: tuple[int, int], scale: float) -
 
 
 def _parts_with(corners: Array, matrix: Array, size: tuple[int, int]) -> int:
-    """Number of parts of the overlap of both views that have enough of the corners (N, 2)."""
+    """Return the number of parts of both views' overlap that have enough of the corners (N, 2)."""
     grid = _grid(size)
     shared = grid[is_inside(transformed(matrix, grid), size)]
     low, high = shared.min(axis=0), shared.max(axis=0)
@@ -191,34 +190,34 @@ def _parts_with(corners: Array, matrix: Array, size: tuple[int, int]) -> int:
 
 
 def _grid(size: tuple[int, int]) -> Array:
-    """(40, 40, 2) pixels all over an image."""
+    """Return (40, 40, 2) pixels spread over an image."""
     u, v = ((np.arange(40) + 0.5) / 40 * side for side in size)
     return np.stack(np.meshgrid(u, v), axis=-1)
 
 
 def _fit(before: Array, after: Array) -> Array | None:
-    """(3, 3) homography of corners (N, 2) by least squares."""
+    """Fit a (3, 3) homography to corners (N, 2) by least squares."""
     matrix = cv2.findHomography(before, after, 0)[0] if len(before) >= 4 else None
     return None if matrix is None else np.asarray(matrix, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class KnownView:
-    """One of the views of a video."""
+    """View of a video."""
 
     begin_s: float
-    """Time from which frames show it, or the movement to it, seconds."""
+    """Time at which the view, or the movement to it, begins, seconds."""
     settled_s: float
-    """Time from which the camera stands still in it, seconds."""
+    """Time from which the camera is at rest in it, seconds."""
     from_first: ViewHomography | None
-    """Where pixels of the first view lie in it; None: not surely known."""
+    """Homography from the first view to this one; None: not reliably known."""
 
 
 def read_views(name: str, info: Mapping[str, Any]) -> list[KnownView]:
-    """Read the views of a video, the first one included.
+    """Read the views of a video, including the first one.
 
     Args:
-        name: The name of the frames' file, for errors.
+        name: Name of the frames' file, for errors.
         info: The `info` of the frames' file.
 
     Raises:
@@ -251,7 +250,7 @@ def _view(change: Mapping[str, Any]) -> KnownView:
 
 
 def view_numbers(views: Sequence[KnownView], times_s: Sequence[float] | Array) -> NDArray[np.intp]:
-    """(N,) index in `views` of the view that frames at times (N,) show; `REGISTRATION_LIMITS.moving_view` while the
+    """Return (N,) the index in `views` for frames at times (N,); `REGISTRATION_LIMITS.moving_view` while the
     camera was moving."""
     times = np.asarray(times_s, dtype=np.float64)
     number = np.searchsorted([view.begin_s for view in views[1:]], times, side="right")

@@ -1,1 +1,1 @@
-"""The page of `skope eval site`: a camera calibrated by clicking, and what counts on the road drawn into its image."""
+"""The page of `skope eval site`: calibrate a camera by clicking, and draw gates, zones and lanes into its image."""

@@ -1,4 +1,4 @@
-// What lies over the picture, as SVG: marks with their handles, what the camera says of the road, gates, zones and lanes.
+// What lies over the picture, as SVG: marks with their handles, the camera's grid on the road, gates, zones and lanes.
 
 import { element } from "./dom.js";
 import { DRAWN, KINDS, MARKED, inImage, ofSize, positionsOf } from "./marks.js";
@@ -123,7 +123,7 @@ function boxOf({ at: [x, y], text, anchor }, unit) {
 }
 
 // Adds a label over all lines and handles: where it would lie on others a line lower or higher, or not at all, but that
-// of what is chosen always.
+// of the chosen entry is always shown.
 function addLabel(kind, label, page, always) {
   const [x, y] = label.at;
   const tried = [0, 15, -15].map((down) => ({ ...label, at: [x, y + down * page.unit] }));

@@ -1,6 +1,6 @@
-"""Gates, zones, lanes and occluders of the page's document: where they are in the image, and checks of them.
+"""Gates, zones, lanes and occluders of the page's document: their position in the image, and checks of them.
 
-A gate counts badly without room for tracks on both sides, along a lane, or where positions are uncertain.
+A gate counts badly without room for tracks on both sides, along a lane, or at uncertain positions.
 """
 
 import itertools
@@ -23,22 +23,22 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class DrawingRules:
-    """Limits from which a gate is warned of, and how drawings are projected."""
+    """Limits for warnings on a gate, and settings for projecting drawings."""
 
     room_m: float = 3.0
     """Distance from a gate over which a track must be visible on both sides, metres."""
     samples: int = 21
-    """Number of points along a gate that are examined."""
+    """Number of examined points along a gate."""
     blind_share: float = 0.25
-    """Share of a gate without room on one side from which it is warned of."""
+    """Share of a gate without room on one side at which a warning is given."""
     along_deg: float = 30.0
     """Angle between a gate and a lane below which the gate runs along the lane, degrees."""
     known_m: float = 1.0
-    """Largest error of positions of a gate at 90%, metres."""
+    """Maximum 90% error of positions on a gate, metres."""
     shortest_m: float = 0.5
-    """Shortest gate, metres."""
+    """Minimum length of a gate, metres."""
     step_m: float = 0.5
-    """Length of the parts in which lines on the road are projected, metres. A lens bends them."""
+    """Length of the segments for projecting lines on the road, metres. A lens bends the lines."""
     arrow_m: float = 3.0
     """Length of the arrows across a gate on the road, metres."""
     arrow_px: float = 40.0
@@ -51,13 +51,13 @@ DRAWING_RULES: Final = DrawingRules()
 def gate_warnings(
     line: Array, camera: Camera, lanes: Sequence[tuple[Array, float]], place_error: Callable[[Array], Array] | None
 ) -> list[str]:
-    """Sentences on what is wrong with a gate.
+    """Return warnings on a gate.
 
     Args:
-        line: (2, 2) its ends on the road, metres.
-        camera: The camera that sees it, over a road at z = 0.
+        line: (2, 2) both ends on the road, metres.
+        camera: The camera over a road at z = 0.
         lanes: Lines (N, 2) along the lanes and their widths, metres.
-        place_error: Takes pixels (..., 2) to errors of places in metres (...,); None: they are not known.
+        place_error: Function from pixels (..., 2) to position errors in metres (...,); None: errors are unknown.
     """
     along = line[1] - line[0]
     length = float(np.linalg.norm(along))
@@ -82,12 +82,14 @@ def gate_warnings(
         errors = place_error(camera.project(_on_road(spots[seen]))[0])
         worst = float(np.nanmax(errors)) if np.isfinite(errors).any() else math.nan
         if worst > DRAWING_RULES.known_m:
-            out.append(f"places on it are known to {worst:.1f} m only (90%), more than {DRAWING_RULES.known_m:g} m")
+            out.append(
+                f"positions on it have errors of up to {worst:.1f} m (90%); recommended: {DRAWING_RULES.known_m:g} m"
+            )
     return out
 
 
 def _lanes_along(line: Array, lanes: Sequence[tuple[Array, float]]) -> list[str]:
-    """A sentence where a gate runs along a lane that it touches."""
+    """Return a warning if a gate runs along a lane that it touches."""
     along = line[1] - line[0]
     for lane, width in lanes:
         for a, b in itertools.pairwise(lane):
@@ -101,7 +103,7 @@ def _lanes_along(line: Array, lanes: Sequence[tuple[Array, float]]) -> list[str]
 
 
 def _distance(one: Array, other: Array) -> float:
-    """Distance of two line segments (2, 2)."""
+    """Return the distance of two line segments (2, 2)."""
     from shapely import LineString
 
     return float(LineString(one).distance(LineString(other)))
@@ -112,7 +114,7 @@ def _on_road(xy: Array) -> Array:
 
 
 def _seen(camera: Camera, xy: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """(N,) which places (N, 2) of the road are in the image."""
+    """Return (N,) whether positions (N, 2) on the road are in the image."""
     return camera.inside(camera.project(_on_road(xy))[0])
 
 
@@ -125,12 +127,12 @@ _ABOVE_HORIZON: Final = "an end lies on or above the horizon: it counts in the i
 
 @dataclass(frozen=True, kw_only=True)
 class Drawing:
-    """One gate, zone, lane or occluder without faults."""
+    """Gate, zone, lane or occluder without faults."""
 
     kind: str
     index: int
     positions: Array
-    """(N, 2) metres on the road; of occluders, pixels. (0, 2) for a gate that has `pixels`."""
+    """(N, 2) positions on the road, metres; for occluders, pixels. (0, 2) for a gate with `pixels`."""
     pixels: Array | None = None
     """(2, 2) ends of a gate that is drawn in the image; None for everything else."""
     width: float = DEFAULT_LANE_M
@@ -139,7 +141,7 @@ class Drawing:
 
 
 def read_drawings(document: Mapping[str, Any], size: tuple[int, int]) -> tuple[list[Drawing], list[Problem]]:
-    """The drawings of a document that hold together, and what is wrong with the others.
+    """Return the valid drawings of a document, and the problems of the others.
 
     Args:
         document: The page's document.
@@ -170,12 +172,12 @@ def read_drawings(document: Mapping[str, Any], size: tuple[int, int]) -> tuple[l
 
 
 def drawn_in_image(kind: str, entry: Mapping[str, Any]) -> bool:
-    """Whether an entry is a gate that has its ends in the image; its line on the road follows from the camera."""
+    """Return whether an entry is a gate with its ends in the image; the camera gives its line on the road."""
     return kind == "gates" and bool(entry.get("pixels"))
 
 
 def _problems(kind: str, index: int, entry: Mapping[str, Any], names: set[str], size: tuple[int, int]) -> list[Problem]:
-    """Problems of an entry; `names` are those of the entries before it, to which its own is added."""
+    """Return the problems of an entry; its name is added to `names`, those of the entries before it."""
     out: list[Problem] = []
 
     def wrong(field: str, text: str, *, missing: bool = False) -> None:
@@ -188,7 +190,7 @@ def _problems(kind: str, index: int, entry: Mapping[str, Any], names: set[str], 
         elif not is_name(name):
             wrong("name", NO_NAME)
         elif name in names:
-            wrong("name", f"another one is called {name!r} already")
+            wrong("name", f"another entry is already called {name!r}")
         else:
             names.add(name)
     field = "pixels" if drawn_in_image(kind, entry) else POSITION_FIELDS[kind]
@@ -220,13 +222,13 @@ def _problems(kind: str, index: int, entry: Mapping[str, Any], names: set[str], 
 
 
 def _other_size(drawn: list[float] | None, size: tuple[int, int]) -> str:
-    """Sentence on a gate that was drawn in an image of another aspect ratio than the footage's."""
+    """Return a sentence on a gate that was drawn in an image of another aspect ratio than the footage's."""
     where = f"in an image of {drawn[0]:g}x{drawn[1]:g}" if drawn else "in an image of unknown size"
     return f"was drawn {where}; this footage is {size[0]}x{size[1]}: delete it and draw it again"
 
 
 def _direction_problems(index: int, entry: Mapping[str, Any]) -> list[Problem]:
-    """Both directions have names, or none has."""
+    """Return the problems of a gate's directions: both must have names, or none."""
     given = entry.get("directions", ["", ""])
     if not isinstance(given, list) or len(given) != 2:
         given = [None, None]
@@ -246,18 +248,18 @@ def _direction_problems(index: int, entry: Mapping[str, Any]) -> list[Problem]:
 def shapes(
     drawings: Sequence[Drawing], camera: Camera | None, place_error: Callable[[Array], Array] | None
 ) -> list[dict[str, Any]]:
-    """Work out what the page draws of each drawing.
+    """Compute what the page shows of each drawing.
 
     Without a camera only gates that are drawn in the image have a shape. Warnings that need metres are for drawings
     with metres.
 
-    The ways (two places each, metres) are a lane's last leg and the two directions across a gate, from its left to its
+    The ways (two places each, metres) are a lane's last segment and both directions across a gate, from its left to its
     right and back; `arrows` are the same in the image.
 
     Args:
         drawings: The drawings without faults.
         camera: The camera, over a road at z = 0; None: it is not known.
-        place_error: Takes pixels (..., 2) to errors of places in metres (...,); None: they are not known.
+        place_error: Function from pixels (..., 2) to position errors in metres (...,); None: errors are unknown.
 
     Returns:
         For each drawing `kind`, `index` and `warnings`; `lines` and `corners` in pixels, but of occluders; of gates and
@@ -298,8 +300,8 @@ def _image_gate(
     lanes: Sequence[tuple[Array, float]],
     place_error: Callable[[Array], Array] | None,
 ) -> dict[str, Any]:
-    """What the page draws of a gate that has its ends in the image: an entry of `shapes`."""
-    # With rows counted upwards, left and right of the line are what they are on the screen.
+    """Return what the page shows of a gate with its ends in the image: an entry of `shapes`."""
+    # Negative rows keep left and right of the line as on the screen.
     upwards = np.array([1.0, -1.0])
     arrows = [way * upwards for way in _ways_across(pixels * upwards, DRAWING_RULES.arrow_px)]
     shown: dict[str, Any] = {
@@ -322,7 +324,7 @@ def _image_gate(
 
 
 def road_line(camera: Camera, corners: Array) -> list[Polyline]:
-    """A line on the road through corners (N, 2), as polylines in pixels."""
+    """Return a line on the road through corners (N, 2), as polylines in pixels."""
     parts = []
     for a, b in itertools.pairwise(corners):
         steps = int(np.clip(np.linalg.norm(b - a) / DRAWING_RULES.step_m, 1, 400))
@@ -337,7 +339,7 @@ def _pixels(camera: Camera, corners: Array) -> list[list[float] | None]:
 
 
 def _ways_across(line: Array, longest: float = DRAWING_RULES.arrow_m) -> list[Array]:
-    """(2, 2) each: the way across a gate from its left to its right, and the way back; at most `longest` long."""
+    """Return (2, 2) arrows across a gate from left to right, and back; at most `longest` long."""
     along = line[1] - line[0]
     right = np.array([along[1], -along[0]]) / max(float(np.linalg.norm(along)), 1e-9)
     reach = min(longest, float(np.linalg.norm(along)) / 2)
@@ -346,7 +348,7 @@ def _ways_across(line: Array, longest: float = DRAWING_RULES.arrow_m) -> list[Ar
 
 
 def _beside(lane: Drawing, side: int) -> Array:
-    """(N, 2) the edge of a lane: its line moved across by half its width, corner by corner."""
+    """Return (N, 2) the edge of a lane: its line offset by half its width, corner by corner."""
     ways = np.diff(lane.positions, axis=0)
     lengths = np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
     across = np.stack([-ways[:, 1], ways[:, 0]], axis=-1) / lengths
@@ -358,4 +360,4 @@ def _beside(lane: Drawing, side: int) -> Array:
 def _occluder_warnings(one: Drawing, camera: Camera) -> list[str]:
     if one.foot is None or np.isfinite(intersect_ground(camera, one.foot)).all():
         return []
-    return ["its foot lies above the horizon: it stands nowhere on the road"]
+    return ["its foot is above the horizon, and therefore not on the road"]

@@ -1,11 +1,11 @@
-// What mouse, pen, fingers and keys do on the picture: mark, drag handles, move and zoom, a cross-hair for the keyboard.
+// Input by mouse, pen, fingers and keys on the picture: mark, drag handles, move and zoom, a cross-hair for the keyboard.
 
 import { keyOf } from "./dom.js";
 import { handlesOf } from "./draw.js";
 import { DRAWN, KINDS, MARKED } from "./marks.js";
 import { Gestures } from "./viewport.js";
 
-const NEAR_PX = { mouse: 9, pen: 14, touch: 24 }; // so near to a handle it is meant
+const NEAR_PX = { mouse: 9, pen: 14, touch: 24 }; // distance within which a press takes a handle
 
 // `now` is what the page is at, `page` gives what is drawn; `does` has `mark`, `put`, `choose`, `ended` (a second press of
 // two), `tell` and `draw`, and `grabs`, whether handles can be taken at this moment.
@@ -93,11 +93,11 @@ export class Pointer extends Gestures {
 
 // ---------------------------------------------------------------------------------------------------------------- keys
 
-// What the keyboard does: a cross-hair over the picture, marks that arrow keys move, a letter for each tool.
+// Input by keyboard: a cross-hair over the picture, arrow keys that move marks, a letter for each tool.
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const FIELDS = "input:not([type=range]):not([type=checkbox]):not([type=file]), select, textarea";
-const CROSSHAIR_STEP = 2; // from above, an arrow key moves a mark by so many cells
+const CROSSHAIR_STEP = 2; // cells by which an arrow key moves a mark in the view from above
 
 // Which handle an element is, as { kind, index, part }; null where it is none.
 export function handleOf({ dataset }) {
@@ -107,7 +107,7 @@ export function handleOf({ dataset }) {
 }
 
 // `now`, `page` and `does` are as Pointer has them; `does` has `save`, `step`, `cancel`, `remove`, `setTool`, `finish` and
-// `help` besides.
+// `help`, too.
 export class Keys {
   constructor(stage, viewport, now, page, does) {
     Object.assign(this, { stage, viewport, now, page, does });
@@ -188,7 +188,7 @@ export class Keys {
     if (!view) return;
     const within = (position) => position.map((value, i) => Math.min(Math.max(value, 0), view.size[i]));
     const middle = [viewport.x + stage.clientWidth / 2 / viewport.scale, viewport.y + stage.clientHeight / 2 / viewport.scale];
-    // The first press shows the cross-hair, in the middle of what is seen.
+    // The first press shows the cross-hair in the middle of the visible part.
     now.cursor = within(now.cursor ? [now.cursor[0] + right * times, now.cursor[1] + down * times] : middle.map(Math.round));
     now.hover = now.pending.length ? now.cursor : null;
     viewport.reveal(now.cursor);

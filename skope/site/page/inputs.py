@@ -25,10 +25,10 @@ from skope.viewer.collection import Picture, encoded, read_picture
 
 @dataclass(frozen=True)
 class InputRules:
-    """Choice of the frame, and errors of a given lens."""
+    """Settings for choosing a frame, and errors of a given lens."""
 
     compared_frames: int = 7
-    """Number of frames that are compared for the clearest one."""
+    """Number of compared frames for finding the sharpest one."""
     focal_share: float = 0.01
     """Relative standard deviation of the focal length of a camera file. Zoom and focus may have changed since."""
     k1_sigma: float = 0.02
@@ -39,7 +39,7 @@ INPUT_RULES: Final = InputRules()
 
 
 class SiteFrames:
-    """Pictures of footage by number, all of one size."""
+    """Images of footage by number, all of one size."""
 
     def __init__(
         self,
@@ -51,11 +51,11 @@ class SiteFrames:
     ) -> None:
         self.title, self.count, self.size, self.picture = title, count, size, picture
         self.source = source
-        """The footage as commands take it; None where there is none."""
+        """Source of the footage for commands; None if there is none."""
 
     @classmethod
     def of_footage(cls, source: str) -> "SiteFrames":
-        """Frames of an image, a folder of images or a video file.
+        """Return the frames of an image, a folder of images or a video file.
 
         Raises:
             UserError: It is none of these, or cannot be read.
@@ -76,15 +76,15 @@ class SiteFrames:
 
     @classmethod
     def canvas(cls, size: tuple[int, int], title: str) -> "SiteFrames":
-        """No footage: an empty canvas of a size, for points that were marked elsewhere."""
+        """Return an empty canvas of a size without footage, for points that were marked elsewhere."""
 
         def picture(number: int) -> Picture:
-            raise UserError("an empty canvas has no pictures")
+            raise UserError("an empty canvas has no images")
 
         return cls(title, 0, size, picture)
 
     def clearest(self) -> int:
-        """Number of the sharpest of some frames from all of the footage: not the one in fog or headlights."""
+        """Return the number of the sharpest of some frames from all of the footage, to avoid fog and headlights."""
         numbers = (
             sorted({round(i) for i in np.linspace(0, self.count - 1, INPUT_RULES.compared_frames).tolist()})
             if self.count
@@ -104,7 +104,7 @@ class SiteFrames:
 
 
 def decoded_frame(picture: Picture) -> Pixels:
-    """(H, W, 3) RGB of a picture."""
+    """Return (H, W, 3) RGB of an image."""
     pixels = cv2.imdecode(np.frombuffer(picture.data, np.uint8), cv2.IMREAD_COLOR_RGB)
     if pixels is None:
         raise UserError("a frame cannot be decoded")
@@ -120,17 +120,17 @@ CAMERA_FILES: Final = (".json", ".yml", ".yaml", ".xml", ".txt")
 
 
 def read_file(sent: Mapping[str, Any], folder: Path, size: tuple[int, int]) -> dict[str, Any]:
-    """Parts of the document from a file that the browser sends: `points` with their `world`, or `lens` and `camera`.
+    """Return parts of the document from a file of the browser: `points` with their `world`, or `lens` and `camera`.
 
-    `said` are words to the user.
+    `said` is a message to the user.
 
     Args:
         sent: `name` and `text` of the file.
-        folder: An empty folder, in which it is put for those who read it.
+        folder: An empty folder for a temporary copy of the file.
         size: Width and height of the footage, pixels.
 
     Raises:
-        UserError: It is no such file; the message names it as the user does.
+        UserError: The file has another type; the message has its name in the browser.
     """
     name, text = sent.get("name"), sent.get("text")
     if not isinstance(name, str) or not isinstance(text, str):
@@ -138,7 +138,7 @@ def read_file(sent: Mapping[str, Any], folder: Path, size: tuple[int, int]) -> d
     suffix = Path(name).suffix.lower()
     if suffix not in POINT_FILES + CAMERA_FILES:
         raise UserError(f"{name}: expected points ({', '.join(POINT_FILES)}) or a camera ({', '.join(CAMERA_FILES)})")
-    # The name is the user's: as a path it could lead anywhere.
+    # The name comes from the user: as a path it could lead anywhere.
     path = folder / f"file{suffix}"
     write_text(path, text)
     try:
@@ -149,10 +149,10 @@ def read_file(sent: Mapping[str, Any], folder: Path, size: tuple[int, int]) -> d
 
 
 def loaded(path: Path, size: tuple[int, int]) -> dict[str, Any]:
-    """Parts of the document from a file of points or a camera. Raises UserError as `read_file` does."""
+    """Return parts of the document from a file of points or a camera. Raises UserError as `read_file` does."""
     if path.suffix.lower() in POINT_FILES:
         file = read_points(path)
-        # Map coordinates from a local origin have digits that nobody typed: tenths of millimetres are kept.
+        # Coordinates from a local origin have more digits than the file: tenths of millimetres are kept.
         points = [entry | {"place": np.round(entry["place"], 4).tolist()} for entry in map(point_entry, file.points)]
         world = {"world": dict(file.world)} if file.world else {}
         return {"points": points, **world, "said": "; ".join(file.said)}
@@ -161,14 +161,14 @@ def loaded(path: Path, size: tuple[int, int]) -> dict[str, Any]:
     camera, scaled = fitted_camera(camera, size, str(path), "the footage")
     lens = {"lens": lens_of(camera)}
     if not posed:
-        said = "the file tells the lens alone: mark points, or lengths and parallels, that tell where the camera hangs"
+        said = "the file has only the lens: mark points, or lengths and parallel lines, for the pose of the camera"
         said = f"{scaled}; {said}" if scaled else said
         return {**lens, "said": said}
     return {**lens, "camera": camera_dict(known, camera) | {"trusted": True}, "said": scaled}
 
 
 def lens_of(camera: Camera) -> dict[str, list[float]]:
-    """The lens of a camera file as evidence: `focal_px`, and `k1` of OpenCV's usual model."""
+    """Return the lens of a camera file as evidence: `focal_px`, and `k1` of OpenCV's usual model."""
     focal = round(float(camera.K[0, 0]), 3)
     out = {"focal_px": [focal, round(INPUT_RULES.focal_share * focal, 3)]}
     if camera.distortion.model == "brown":

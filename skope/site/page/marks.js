@@ -5,9 +5,9 @@ import { post } from "./server.js";
 
 // Which positions an entry has are pairs of numbers; kinds of the world have them in metres, the others in pixels.
 export const KINDS = {
-  points: { word: "Point", key: "p", count: 1, hint: "Click a point whose place you know: the corner of a marking, a kerb, a manhole." },
-  lengths: { word: "Length", key: "l", count: 2, hint: "Click both ends of something on the road whose length you know." },
-  parallels: { word: "Parallel lines", key: "r", count: 2, hint: "Click both ends of a line on the road, then of another one that is parallel to it." },
+  points: { word: "Point", key: "p", count: 1, hint: "Click a point with a known position: the corner of a marking, a kerb, a manhole." },
+  lengths: { word: "Length", key: "l", count: 2, hint: "Click both ends of a known length on the road." },
+  parallels: { word: "Parallel lines", key: "r", count: 2, hint: "Click both ends of a line on the road, then of a second line that is parallel to it." },
   verticals: { word: "Vertical", key: "v", count: 2, hint: "Click the foot, then the top of something upright: a post, the corner of a house." },
   gates: { word: "Gate", key: "g", world: true, hint: "Click both ends of a line across the road: vehicles that cross it are counted. No calibration is needed." },
   zones: { word: "Zone", key: "z", open: true, world: true, hint: "Click the corners of an area of the road; Enter or Finish closes it." },
@@ -177,7 +177,7 @@ export class History {
 
 // ------------------------------------------------------------------------------------------------------------- marking
 
-// What clicks on the picture do: begin, go on with and end what the chosen tool marks or draws.
+// Clicks on the picture: begin, continue and end a mark or drawing of the chosen tool.
 
 export class Marking {
   // `now` is what the page is at; `views` what the stage shows; `does` has `document`, `change`, `refresh`, `trouble`,
@@ -320,15 +320,15 @@ export class Marking {
       else if (errors) {
         const { cell, columns, values } = errors;
         const error = values[Math.floor(y / cell) * columns + Math.floor(x / cell)];
-        words += error === null || error === undefined ? ": no road, or too far away" : `: a place there is known to ${error} m (90%)`;
+        words += error === null || error === undefined ? ": no road, or too far away" : `: position error there: ${error} m (90%)`;
       }
     }
     byId("where").textContent = words;
   }
 }
 
-// What is marked is told at once: its fields are in sight, and that of its place or its length has the focus. A finger
-// would get a keyboard over the picture.
+// The fields of a new mark are scrolled into view, and that of its position or length gets the focus. Not after touch,
+// because a keyboard would cover the picture.
 function typeNext(kind, index) {
   const way = { points: "place.0", lengths: "metres" }[kind];
   if (way) document.querySelector(`[data-focus="${kind}:${index}:${way}"]`)?.focus({ preventScroll: true });
@@ -341,7 +341,7 @@ function typeNext(kind, index) {
 
 // What fields and buttons of the lists do to the document.
 
-const USUAL_SHARE = 0.02; // what is known beforehand is known to so much, where nothing else is typed
+const USUAL_SHARE = 0.02; // default relative standard deviation of prior values
 
 // `now` is what the page is at; `does` has `document`, `change` and `refresh`.
 export function edits(now, does) {
@@ -393,7 +393,7 @@ export async function loadFile(file, does) {
   const found = await post("/read", { name: file.name, text: await file.text() });
   const { points, world } = does.document();
   const other = found.points && points.length && JSON.stringify(found.world ?? null) !== JSON.stringify(world);
-  if (other) return `${file.name}: its places are counted from another origin than those that are marked: take these away first`;
+  if (other) return `${file.name}: its positions have another origin than the marked ones: remove those first`;
   does.change((all) => {
     if (found.points) all.points.push(...found.points);
     if (found.world) all.world = found.world;
@@ -407,7 +407,7 @@ export async function loadFile(file, does) {
 
 // Whether gates, zones and lanes have moved in the image because the camera was calibrated again. Gates that have their ends in the image stay there.
 
-const MOVED_PX = 3; // less than this nobody sees
+const MOVED_PX = 3; // smaller moves are not visible
 
 const ROAD = DRAWN.filter((kind) => KINDS[kind].world);
 

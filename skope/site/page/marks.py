@@ -1,9 +1,9 @@
-"""Marks of the page as evidence for the solver, and what is wrong or missing in them, field by field.
+"""Convert marks of the page to evidence for the solver, and report what is wrong or missing, field by field.
 
 The page's document has lists `points`, `lengths`, `parallels`, `verticals` (pixels of the footage's own size, metres)
 and `gates` (`pixels` of the image with its `size`, or `line` in metres), `zones`, `lanes` (the world's metres) and
-`occluders` (pixels). A value that is not given yet is None; what a user typed that is no number is a text, and stays in
-the page until it is mended.
+`occluders` (pixels). A missing value is None. Typed text that is not a number is kept as text until the user corrects
+it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,13 +28,13 @@ from skope.site.mark_parser import (
 from skope.site.site_file import clock_doubt
 
 _MAX_ENTRIES: Final = 500
-"""Maximum number of entries of a list: a person marks some dozens."""
+"""Maximum number of entries of a list; a person marks some dozens."""
 SIGMA_FIELDS: Final = ("sigma_m", "sigma_px", "sigma_z_m")
-"""Standard deviations that a point may have of its own."""
+"""Standard deviations that a point may have individually."""
 
 
 def entries_of(document: Mapping[str, Any], kind: str) -> list[Mapping[str, Any]]:
-    """A list of the document; a UserError where it is no list of objects."""
+    """Return a list of the document; raise UserError if it is not a list of objects."""
     value = document.get(kind, [])
     if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value) or len(value) > _MAX_ENTRIES:
         raise UserError(f"{kind}: expected a list of up to {_MAX_ENTRIES} objects")
@@ -42,7 +42,7 @@ def entries_of(document: Mapping[str, Any], kind: str) -> list[Mapping[str, Any]
 
 
 def unique_names(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """A name for each entry, its own where no earlier one has it: messages of the solver name points."""
+    """Return a unique name for each entry, its own if no earlier entry has it, for the solver's messages."""
     out: list[str] = []
     for number, entry in enumerate(entries, start=1):
         own = entry.get("name")
@@ -56,16 +56,16 @@ def unique_names(entries: Sequence[Mapping[str, Any]]) -> list[str]:
 
 @dataclass(kw_only=True)
 class Marks:
-    """The evidence of a document, and which entry each piece of it is."""
+    """Evidence of a document, and the entry of each piece of it."""
 
     evidence: Evidence
     entries: dict[str, dict[str, int]]
-    """Index in the document by kind and by the name that the solver has for it, in order."""
+    """Index in the document by kind and by the name in the solver, in order."""
     problems: list[Problem] = field(default_factory=list)
 
 
 def marks_of_document(document: Mapping[str, Any], size: tuple[int, int]) -> Marks:
-    """The evidence in a document; entries with problems are left out of it."""
+    """Return the evidence in a document; entries with problems are left out."""
     found: dict[str, list[Any]] = {}
     entries: dict[str, dict[str, int]] = {}
     problems: list[Problem] = []
@@ -86,16 +86,16 @@ def marks_of_document(document: Mapping[str, Any], size: tuple[int, int]) -> Mar
 
 
 def _name_problems(kind: str, index: int, name: str, own: Any) -> list[Problem]:
-    """A name that is no name, or that an earlier entry has; `name` is the one that the entry goes by."""
+    """Return the problems of an invalid name, or of an earlier entry's; `name` is the entry's unique name."""
     if not isinstance(own, str) or not is_name(own or "1"):
         return [Problem(kind=kind, index=index, field="name", text=NO_NAME)]
     if own.strip() and own.strip() != name:
-        return [Problem(kind=kind, index=index, field="name", text=f"another one is called {own.strip()!r} already")]
+        return [Problem(kind=kind, index=index, field="name", text=f"another entry is already called {own.strip()!r}")]
     return []
 
 
 def _known(value: Any, width: int) -> tuple[tuple[CameraPrior, ...], list[Problem]]:
-    """Prior knowledge of the camera: `fov_deg` and `height_m`, each [value, standard deviation]."""
+    """Return prior knowledge of the camera: `fov_deg` and `height_m`, each [value, standard deviation]."""
     given = value if isinstance(value, dict) else {}
     found: dict[str, tuple[float, float]] = {}
     problems = []
@@ -106,14 +106,14 @@ def _known(value: Any, width: int) -> tuple[tuple[CameraPrior, ...], list[Proble
             found[name] = pair
         else:
             unit = "degrees" if name == "fov_deg" else "metres"
-            text = f"expected {limits[0]:g} to {limits[1]:g} {unit}, and how exactly that is known"
+            text = f"expected {limits[0]:g} to {limits[1]:g} {unit}, and a standard deviation"
             problems.append(Problem(kind="known", index=0, field=name, text=text))
     lens = given.get("lens")
     return beliefs_of(width, **found, lens=None if lens is None else _lens(lens)), problems
 
 
 def _lens(value: Any) -> dict[str, tuple[float, float]]:
-    """The lens of a camera file, which the page shows and does not change."""
+    """Return the lens of a camera file, which the page shows and does not change."""
     given = {key: value[key] for key in LENS_RANGES if value.get(key) is not None} if isinstance(value, dict) else {}
     lens = {key: pair for key in given if (pair := known_value(given[key], LENS_RANGES[key]))}
     if "focal_px" not in lens or len(lens) < len(given):
@@ -123,16 +123,16 @@ def _lens(value: Any) -> dict[str, tuple[float, float]]:
 
 @dataclass(frozen=True, kw_only=True)
 class FootageTime:
-    """Time at which the footage was taken, as far as the page says it."""
+    """Time at which the footage was taken, as entered on the page."""
 
     time_zone: str | None
     start: datetime | None
-    """With a zone of its own, or without where it is in `time_zone`."""
+    """Start with its own zone, or without one if it is in `time_zone`."""
     problems: tuple[Problem, ...]
 
 
 def read_time(document: Mapping[str, Any]) -> FootageTime:
-    """Time zone and start of a document, texts or None, and what is wrong with them."""
+    """Read time zone and start of a document, texts or None, with their problems."""
     problems: list[Problem] = []
 
     def wrong(field: str, text: str) -> None:
@@ -158,7 +158,7 @@ def read_time(document: Mapping[str, Any]) -> FootageTime:
 
 
 def time_texts(time_zone: str | None, start: datetime | None) -> dict[str, str | None]:
-    """`time_zone` and `start` of a document; a start in that zone is written without it."""
+    """Return `time_zone` and `start` of a document; a start in that zone is written without it."""
     if start is not None and time_zone is not None and getattr(start.tzinfo, "key", None) == time_zone:
         start = start.replace(tzinfo=None)
     return {"time_zone": time_zone, "start": None if start is None else start.isoformat(sep=" ")}
@@ -167,5 +167,5 @@ def time_texts(time_zone: str | None, start: datetime | None) -> dict[str, str |
 def _zone(name: Any) -> ZoneInfo | None:
     try:
         return ZoneInfo(name)
-    except (ValueError, KeyError, OSError, TypeError):  # no such zone, a path, a folder of zones
+    except (ValueError, KeyError, OSError, TypeError):  # unknown zone, a path, a folder of zones
         return None

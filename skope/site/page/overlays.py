@@ -1,6 +1,6 @@
-"""Overlays to judge a camera by: a grid of metres, posts, boxes as large as cars, the horizon.
+"""Overlays for judging a camera: a grid of metres, posts, boxes of the size of cars, the horizon.
 
-All are polylines in pixels, cut where the camera does not see them.
+All are polylines in pixels, clipped to the camera's view.
 """
 
 import itertools
@@ -17,7 +17,7 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class OverlayGrid:
-    """Grid, posts and cars that are drawn on the road."""
+    """Grid, posts and cars drawn on the road."""
 
     steps_m: tuple[int, ...] = (1, 2, 5, 10, 20)
     """Spacings of the grid's lines, metres."""
@@ -26,13 +26,13 @@ class OverlayGrid:
     reach_heights: float = 12.0
     """End of the grid, in heights of the camera."""
     reach_m: tuple[float, float] = (20.0, 120.0)
-    """Least and largest end of the grid, metres."""
+    """Minimum and maximum end of the grid, metres."""
     post_m: float = 3.0
     """Height of the posts, metres."""
     car_lwh: tuple[float, float, float] = (4.5, 1.8, 1.5)
     """Length, width and height of a car, metres."""
     margin: float = 0.5
-    """Lines are drawn this far outside the image, as a share of its size."""
+    """Margin outside the image in which lines are drawn, as a share of its size."""
 
 
 OVERLAY_GRID: Final = OverlayGrid()
@@ -46,11 +46,11 @@ Polyline = list[list[float]]
 
 
 def overlays(camera: Camera, toward: Array | None = None) -> dict[str, Any]:
-    """Polylines by their kind (`grid`, `horizon`, `posts`, `boxes`), words with their pixels, and what they measure.
+    """Return polylines by kind (`grid`, `horizon`, `posts`, `boxes`), labels with their pixels, and a description.
 
     Args:
         camera: The camera, over a road at z = 0.
-        toward: (2,) direction along the road, in the world; None: that in which the camera looks.
+        toward: (2,) direction along the road, in the world; None: the viewing direction of the camera.
     """
     ahead, left, foot = axes(camera)
     reach = float(np.clip(OVERLAY_GRID.reach_heights * camera.position[2], *OVERLAY_GRID.reach_m))
@@ -82,14 +82,14 @@ def overlays(camera: Camera, toward: Array | None = None) -> dict[str, Any]:
 
 
 def axes(camera: Camera) -> tuple[Array, Array, Array]:
-    """(3,) unit vectors along the road ahead of a camera and to its left, and the place under it."""
+    """Return (3,) unit vectors along the road ahead of a camera and to its left, and the position below it."""
     yaw, _, _ = camera.angles
     ahead = np.array([math.cos(yaw), math.sin(yaw), 0.0])
     return ahead, np.array([-ahead[1], ahead[0], 0.0]), np.array([*camera.position[:2], 0.0])
 
 
 def horizon_line(camera: Camera) -> list[Polyline]:
-    """The line to which level roads lead."""
+    """Return the horizon of a level road as polylines."""
     ahead, left, foot = axes(camera)
     turn = np.linspace(-1.3, 1.3, 105)[:, None]
     level = [0.0, 0.0, float(camera.position[2])]
@@ -97,15 +97,15 @@ def horizon_line(camera: Camera) -> list[Polyline]:
 
 
 def car_edges(camera: Camera, place: Array, way: Array) -> list[Polyline]:
-    """Draw the edges of a car of `OVERLAY_GRID.car_lwh` that stands on the road.
+    """Return the visible edges of a car of `OVERLAY_GRID.car_lwh` on the road.
 
     Args:
         camera: The camera.
         place: (3,) middle of the car on the road, metres.
-        way: (2,) unit vector in which it heads.
+        way: (2,) unit vector of its heading.
 
     Returns:
-        The parts of its edges that the camera sees, pixels.
+        The visible parts of its edges, pixels.
     """
     turn = np.array([[way[0], -way[1], 0], [way[1], way[0], 0], [0, 0, 1]])
     corners = place + (UNIT_BOX * OVERLAY_GRID.car_lwh) @ turn.T
@@ -113,7 +113,7 @@ def car_edges(camera: Camera, place: Array, way: Array) -> list[Polyline]:
 
 
 def polylines_of(camera: Camera, points: Array) -> list[Polyline]:
-    """Points (N, 3) in a row as polylines in pixels: cut where they lie behind the camera or far outside the image."""
+    """Return a line through points (N, 3) as polylines in pixels, clipped behind the camera and far off the image."""
     pixels, _, valid = camera.project(points)
     size = np.array([camera.width, camera.height])
     near = valid & (np.abs(np.nan_to_num(pixels, nan=1e9) - size / 2) <= (0.5 + OVERLAY_GRID.margin) * size).all(
@@ -128,7 +128,7 @@ def polylines_of(camera: Camera, points: Array) -> list[Polyline]:
 
 
 def _standing(camera: Camera, columns: tuple[float, ...]) -> list[Array]:
-    """Places (3,) from near to far, above one another at some columns of the image, shares of its width."""
+    """Return positions (3,) from near to far at some columns of the image, given as shares of its width."""
     rows = np.linspace(0.95, 0.3, 60) * camera.height
     out: list[Array] = []
     for share in columns:

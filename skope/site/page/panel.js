@@ -62,7 +62,7 @@ function row(kind, index, entry, page, act) {
   return item;
 }
 
-// Where the other points alone would put this one, beside what they were said to be good for: the honest test of a map.
+// Leave-one-out error of this point, next to its 90% bound: the honest test of a map.
 function byOthers([error, stated]) {
   const words = `by the others ${short(error)} off (stated: ${short(stated)})`;
   return text("p", words, { class: error > stated ? "others bad" : "others" });
@@ -89,7 +89,7 @@ function valueOf(kind, index, page) {
 function form(kind, index, entry, page, act) {
   const made = text("div", "", { class: "fields" });
   const problems = page.problemsOf(kind, index);
-  const said = new Set(); // a problem of several fields is said once
+  const said = new Set(); // a problem of several fields is shown once
   const tell = (field) => problems.filter((one) => one.field === field.name && !said.has(one)).forEach((problem) => {
     said.add(problem);
     const id = `wrong-${kind}-${index}-${field.way.join("-")}`;
@@ -248,7 +248,7 @@ const KEYS = [
 // What keys do, as a list of terms.
 export const keyList = (list) => terms(list, KEYS);
 
-// The buttons of all tools; `choose` is told the name of one.
+// The buttons of all tools; `choose` receives the name of the tool.
 export function toolbar(bar, choose) {
   const button = (name, words, key) => {
     const made = text("button", words, { type: "button", "data-tool": name, "aria-pressed": "false", title: `${words} (${key})` });
@@ -264,7 +264,7 @@ export function toolbar(bar, choose) {
   );
 }
 
-// A box to tick for each layer; `switched` is told its name.
+// A box to tick for each layer; `switched` receives its name.
 export function switches(box, layers, switched) {
   for (const [name, words] of LAYERS) {
     const input = text("input", "", { type: "checkbox", "data-layer": name });
@@ -289,7 +289,7 @@ export function legend(list) {
     item.append(chip, words);
     return item;
   });
-  list.replaceChildren(text("li", "How far off places may be (in 9 of 10 cases)"), ...chips);
+  list.replaceChildren(text("li", "Position error on the road (90%)"), ...chips);
 }
 
 // --------------------------------------------------------------------------------------------------------------- hints
@@ -297,18 +297,18 @@ export function legend(list) {
 // What to do next, in a sentence over the picture.
 
 const CAMERA_NEEDED = "Zones and lanes are in metres: calibrate the camera first.";
-const CALIBRATED = "Where grid and boxes lie on the road, go on with Gate, Zone and Lane; more points make places more exact.";
+const CALIBRATED = "Where grid and boxes lie on the road, continue with Gate, Zone and Lane; more points make positions more exact.";
 const PLAN = {
   gone: "The plan's picture is not there any more: load it again.",
   none: "Load a map, a plan or an aerial picture first.",
-  first: "Click the first of two points of the plan whose distance you know.",
-  second: "Click the second of two points whose distance you know.",
+  first: "Click the first of two points of the plan with a known distance.",
+  second: "Click the second point.",
 };
-const CHOOSE = "Drag marks to mend them; drag the picture to move it, zoom with the wheel or two fingers.";
+const CHOOSE = "Drag marks to correct them; drag the picture to move it, zoom with the wheel or two fingers.";
 const GATE_DRAWN = "Name its directions if you like, draw further gates, or press Save. Arrows 1 and 2 are the two directions.";
 const ANOTHER_LINE = "Click both ends of another line that is parallel to it on the road; Esc ends the group.";
 
-// `now` is what the page is at, `views` what is shown, `look` what the server says of `document`.
+// `now` is what the page is at, `views` what is shown, `look` the server's answer to `document`.
 export function hintFor(document, now, views, look) {
   const { tool, picking, group, pending } = now;
   if (views.scaling && !views.current) return document.plan ? PLAN.gone : PLAN.none;
@@ -320,14 +320,14 @@ export function hintFor(document, now, views, look) {
   if (tool === "parallels" && group !== null && !pending.length) return ANOTHER_LINE;
   if (tool === "gates" && document.gates.length && !pending.length) return GATE_DRAWN;
   if (tool !== "points" || !document.points.length || !look) return KINDS[tool].hint;
-  // What is still missing is said where the next click goes; on a phone the list is far below.
+  // What is still missing is shown at the picture; on a phone the list is far below.
   if (look.message) return look.message;
   return look.camera && !DRAWN.some((kind) => document[kind].length) ? CALIBRATED : KINDS.points.hint;
 }
 
 // -------------------------------------------------------------------------------------------------------- camera panel
 
-// What is said of the camera: figures, warnings, what is missing, what a button can mend, and what moved with it.
+// The camera panel: figures, warnings, what is missing, what a button can correct, and what moved with the camera.
 
 export class CameraPanel {
   // `does` has `document`, `change`, `trouble`, and `placesOf` (pixels on the road).

@@ -4,7 +4,7 @@ import { Viewport } from "./viewport.js";
 
 const LOUPE = 132;
 const LOUPE_SCALE = 3;
-const BESIDE = 36; // so far from the finger, which would hide it
+const BESIDE = 36; // distance from the finger, which would hide it
 export const CLASSES = [0.1, 0.25, 0.5, 1, 2, 5]; // upper ends of the map's classes, metres; the last class has none
 // Blue up to a metre, orange beyond, darker the farther from it: told apart with any colour vision.
 export const COLORS = ["#08458c", "#3182bd", "#7fb8de", "#cfe3f3", "#fdd9a8", "#fb9a3f", "#c44a00"];

@@ -1,7 +1,7 @@
-"""The road from above on the page: a plan or map with scale and rotation, and the camera's picture laid on the ground.
+"""The road from above on the page: a plan or map with scale and rotation, and the camera's image on the ground.
 
-Positions on web maps come as latitude and longitude; they become metres of the page's world. In the view from above
-north is up and a cell is a square of metres.
+Positions on web maps are latitude and longitude; they are converted to metres of the page's world. In the view from
+above, north is up and a cell is a square of the road.
 """
 
 import base64
@@ -33,36 +33,36 @@ DEGREE_PAIR: Final = re.compile(
 
 @dataclass(frozen=True)
 class PlanRules:
-    """View from above, and limits of a plan."""
+    """Settings of the view from above, and limits of a plan."""
 
     spread_m: float = 20_000.0
-    """Largest distance between places, metres."""
+    """Maximum distance between positions, metres."""
     reach_heights: float = 9.0
     """End of the view, in heights of the camera."""
     reach_m: tuple[float, float] = (25.0, 80.0)
-    """Least and largest end of the view, metres."""
+    """Minimum and maximum end of the view, metres."""
     longer_side: int = 1000
-    """Cells along the longer side."""
+    """Number of cells along the longer side."""
     empty: tuple[int, int, int] = (226, 226, 226)
     """Colour of cells outside the image, RGB."""
     most_bytes: int = 24 << 20
-    """Largest plan, bytes."""
+    """Maximum size of a plan, bytes."""
     agreement: float = 0.02
-    """Largest relative difference between a typed distance and that of typed positions."""
+    """Maximum relative difference between a typed distance and that of typed positions."""
 
 
 PLAN_RULES: Final = PlanRules()
 
 
 def map_places(sent: Mapping[str, Any]) -> dict[str, Any]:
-    """`places`, rows of x (east) and y (north) in metres, and `world`, in which they are.
+    """Return `places`, rows of x (east) and y (north) in metres, and their `world`.
 
     Args:
         sent: `text` ("49.00012, 8.40034", latitude first) or `pairs` of degrees in the `order` "latitude" or
-            "longitude" first; `world` of the document, or None; `others`: whether places are in it already.
+            "longitude" first; `world` of the document, or None; `others`: whether it already has positions.
 
     Raises:
-        UserError: These are no such places, or lie in another world than the document's.
+        UserError: These are not positions, or they are in another world than the document's.
     """
     degrees = _typed(sent["text"]) if "text" in sent else _pairs(sent)
     if (np.abs(degrees) > [180.0, 90.0]).any():
@@ -85,7 +85,7 @@ def map_places(sent: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _metres_in(world: Mapping[str, Any], degrees: Any) -> Any:
-    """(N, 2) metres from the origin of a world, of (N, 2) longitudes and latitudes."""
+    """Return (N, 2) metres from the origin of a world, for (N, 2) longitudes and latitudes."""
     origin, zone = world.get("origin"), UTM_ZONE.fullmatch(str(world.get("utm_zone")))
     told = origin if isinstance(origin, dict) else {}
     if about := positions([[told.get("longitude"), told.get("latitude")]], 2):
@@ -97,7 +97,7 @@ def _metres_in(world: Mapping[str, Any], degrees: Any) -> Any:
 
 
 def _typed(text: Any) -> Any:
-    """(1, 2) longitude and latitude of a text."""
+    """Return (1, 2) longitude and latitude of a text."""
     found = DEGREE_PAIR.fullmatch(text) if isinstance(text, str) and len(text) < 100 else None
     if not found:
         raise UserError("expected latitude and longitude in degrees, like 49.00012, 8.40034")
@@ -107,7 +107,7 @@ def _typed(text: Any) -> Any:
 
 
 def _pairs(sent: Mapping[str, Any]) -> Any:
-    """(N, 2) longitudes and latitudes of numbers."""
+    """Return (N, 2) longitudes and latitudes of numbers."""
     rows = positions(sent.get("pairs"), 2)
     if not rows:
         raise UserError("pairs: expected rows of two numbers")
@@ -115,9 +115,9 @@ def _pairs(sent: Mapping[str, Any]) -> Any:
 
 
 def seen_from_above(camera: Camera, pixels: NDArray[np.uint8] | None) -> dict[str, Any]:
-    """Show the road of a camera's picture (H, W, 3), or of an empty one (None), from above.
+    """Return the view from above of a camera's image (H, W, 3), or of an empty one (None).
 
-    Returns `low` and `high`, world x, y of the south-west and north-east corners in metres, `cell_m`, `size` in cells,
+    It has `low` and `high`, world x, y of the south-west and north-east corners in metres, `cell_m`, `size` in cells,
     and `image`, a data address.
     """
     low, high = _extent(camera)
@@ -146,7 +146,7 @@ def seen_from_above(camera: Camera, pixels: NDArray[np.uint8] | None) -> dict[st
 
 
 def _extent(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(2,) and (2,) corners of the rectangle that holds the road near the camera."""
+    """Return the (2,) corners of the rectangle that contains the road near the camera."""
     reach = float(np.clip(PLAN_RULES.reach_heights * camera.position[2], *PLAN_RULES.reach_m))
     u, v = np.meshgrid(np.linspace(0, camera.width, 41), np.linspace(0, camera.height, 41))
     places = intersect_ground(camera, np.stack([u, v], axis=-1)).reshape(-1, 3)
@@ -163,18 +163,18 @@ IMAGE_KINDS: Final = (
     (b"\xff\xd8\xff", ".jpg", "image/jpeg"),
     (b"RIFF", ".webp", "image/webp"),
 )
-"""First bytes, ending and type of the files that every browser shows."""
+"""First bytes, suffix and type of files that every browser shows."""
 
 
 class PlanPictures:
-    """Pictures by the SHA-256 of their bytes, by which the page names them: a name of the page is never a path."""
+    """Images by the SHA-256 of their bytes, which is their name on the page: a name of the page is never a path."""
 
     def __init__(self) -> None:
         self._pictures: dict[str, Picture] = {}
         self._files: dict[str, str] = {}
 
     def hold(self, data: bytes) -> str:
-        """Keep a picture's bytes; returns its name. Raises UserError where they are no picture for browsers."""
+        """Store an image's bytes; return its name. Raise UserError if browsers cannot show it."""
         kind = next((media for begin, _, media in IMAGE_KINDS if data.startswith(begin)), None)
         if kind is None or (kind == "image/webp" and data[8:12] != b"WEBP"):
             what = "a PDF: save its page as PNG" if data.startswith(b"%PDF") else "expected a PNG, JPEG or WebP picture"
@@ -186,7 +186,7 @@ class PlanPictures:
         return name
 
     def hold_file(self, path: Path, as_written: str) -> str | None:
-        """Keep the picture of a file, which the site file names `as_written`; None where there is none."""
+        """Store the image of a file, named `as_written` in the site file; return None if there is none."""
         try:
             name = self.hold(read_bytes(path))
         except UserError:
@@ -195,13 +195,13 @@ class PlanPictures:
         return name
 
     def picture(self, name: Any) -> Picture | None:
-        """The picture of a name."""
+        """Return the image of a name, or None."""
         return self._pictures.get(name) if isinstance(name, str) else None
 
     def saved_beside(self, site: Path, name: Any) -> str | None:
-        """Name of a picture in the site file; the picture is written beside that where it is not there yet.
+        """Return the name of an image for the site file, and write the image next to that if it is missing.
 
-        No other file is overwritten. None where there is no such picture.
+        No other file is overwritten. None if there is no image of that name.
         """
         picture = self.picture(name)
         if picture is None:
@@ -224,17 +224,17 @@ class PlanPictures:
 
 
 def plan_scale(sent: Mapping[str, Any]) -> dict[str, Any]:
-    """`metres_per_pixel` of the plan, `origin`: x and y of its top-left corner, and `rotation_deg`.
+    """Return `metres_per_pixel` of the plan, `origin`: x and y of its top-left corner, and `rotation_deg`.
 
-    A pixel (u, v) of the plan lies at origin + m R (u, -v), where m are the metres of a pixel and R turns by the
-    rotation, counter-clockwise. Where one of the two places is known alone, north is up: the rotation is 0.
+    A pixel (u, v) of the plan lies at origin + m R (u, -v), where m is the size of a pixel in metres and R rotates
+    counter-clockwise. If only one of the two positions is known, north is up: the rotation is 0.
 
     Args:
-        sent: `ends`, two pixels of the plan, `metres` between them, `at`, x and y of the first one, and `second`, those
-            of the second one where they are known; numbers may be texts, and empty ones are not known.
+        sent: `ends`, two pixels of the plan, `metres` between them, `at`, x and y of the first one, and `second`, x and
+            y of the second one if known. Numbers may be texts; empty ones are unknown.
 
     Raises:
-        UserError: One of these is missing, no such number, or contradicts the others.
+        UserError: A value is missing, invalid, or contradicts the others.
     """
     ends = positions(sent.get("ends"), 2)
     if ends is None or len(ends) != 2:
@@ -272,7 +272,7 @@ def plan_scale(sent: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _place(value: Any, which: str) -> tuple[float, float] | None:
-    """x and y; None where both are empty."""
+    """Return x and y; None if both are empty."""
     pair = value if isinstance(value, list) and len(value) == 2 else [None, None]
     if all(one in (None, "") for one in pair):
         return None

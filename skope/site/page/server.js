@@ -2,7 +2,7 @@
 
 import { byId, get } from "./dom.js";
 
-// What the server answers to a value; an Error with its words where it refuses it, and with what it says of it besides.
+// The server's answer to a value; an Error with its message and further fields if the server rejects it.
 export async function post(path, value) {
   const answer = await fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(value) });
   if (answer.ok) return answer.json();
@@ -12,7 +12,7 @@ export async function post(path, value) {
 }
 
 // Asks again and again for the newest value only: while one answer is awaited, values in between are left out. `answered` is
-// told the answer and the value that was asked.
+// called with the answer and the value that was asked.
 export function newest(path, answered, failed) {
   let waiting = null;
   let asking = false;
@@ -77,7 +77,7 @@ export class Saving {
     byId("merge").focus();
   }
 
-  // Goes on with both windows' work, or with the other's.
+  // Continues with the work of both windows, or with that of the other window.
   async join(mine) {
     try {
       const theirs = mine ? await post("/merge", { base: this.base, mine }) : await (await get("/begin.json")).json();

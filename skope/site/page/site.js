@@ -22,15 +22,15 @@ let saving; // what of the document is in the file
 let look = null; // the server's answer to the document
 const now = {
   tool: "select",
-  pending: [], // positions of what is being drawn, in the view
+  pending: [], // positions of the unfinished drawing, in the view
   group: null, // index of the parallel lines that the next line joins
   selected: null, // { kind, index, part }
   dragged: null, // { kind, index, part, position }
   hover: null,
   cursor: null, // of the keyboard, in the view
   byTouch: false, // whether a finger has touched the picture last
-  picking: null, // index of the point whose place is clicked on the plan
-  refused: null, // a problem of what was typed last, which is not in the document
+  picking: null, // index of the point to be clicked on the plan
+  refused: null, // problem of the last input, which is not in the document
 };
 const layers = { errors: true, grid: true, posts: true, boxes: true, residuals: true, names: true };
 const narrow = matchMedia("(max-width: 56rem)"); // as in site.css: the list is far below the picture

@@ -1,4 +1,4 @@
-"""The server of the page of `skope eval site`: pictures, answers to the page's document, and saving it."""
+"""Server of the page of `skope eval site`: images, answers to the page's document, and saving."""
 
 import base64
 import os
@@ -53,22 +53,22 @@ PAGE_LIMITS: Final = {
     "usual": {"points": MARKING_ERRORS.place_m, "lengths": MARK_LIMITS.length_sigma_m, "lanes": DEFAULT_LANE_M},
     "longest_name": MARK_LIMITS.name_letters,
 }
-"""Limits of the parser as the page has them: positions of each kind, values of fields that are empty, letters."""
-SAVED_ELSEWHERE: Final = "{name} was saved by another window since this one read it. Nothing of yours is lost: join both, or take the saved one (undo brings yours back)."  # noqa: E501
+"""Limits of the parser for the page: number of positions by kind, default values of empty fields, letters of a name."""
+SAVED_ELSEWHERE: Final = "{name} was saved by another window since this one read it. Your work is not lost: join both versions, or take the saved one (undo restores yours)."  # noqa: E501
 
 
 def serve_site(frames: SiteFrames, path: Path, added: Mapping[str, Any], port: int | None, console: Console) -> None:
-    """Show the page until Ctrl-C; the address is printed in one line.
+    """Serve the page until Ctrl-C; its address is printed in one line.
 
     Args:
         frames: The footage.
-        path: The site file, which need not be there.
-        added: What is put into the page's document besides what the file holds: points, a camera.
-        port: Where the server listens; None: any usual one.
-        console: Where the address is printed.
+        path: The site file, which may be missing.
+        added: Additional content of the page's document: points, a camera.
+        port: Port of the server; None: any usual one.
+        console: Console for the address.
 
     Raises:
-        UserError: The site file cannot be read, or `port` not be used.
+        UserError: The site file cannot be read, or `port` cannot be used.
     """
     server = bound_site(frames, path, added, port)
     camera = server.store.read().document["camera"]
@@ -81,22 +81,22 @@ def serve_site(frames: SiteFrames, path: Path, added: Mapping[str, Any], port: i
 
 
 def bound_site(frames: SiteFrames, path: Path, added: Mapping[str, Any], port: int | None) -> "SiteServer":
-    """Start the server of a site's page, which listens; `serve_site` lets it answer.
+    """Start the listening server of a site's page; `serve_site` lets it answer.
 
     Args:
         frames: The footage.
-        path: The site file, which need not be there.
-        added: What is put into the page's document besides what the file holds.
-        port: Where the server listens; None: any usual one.
+        path: The site file, which may be missing.
+        added: Additional content of the page's document.
+        port: Port of the server; None: any usual one.
 
     Raises:
-        UserError: The site file cannot be read, or `port` not be used.
+        UserError: The site file cannot be read, or `port` cannot be used.
     """
     return bound_to(lambda free: SiteServer(frames, path, added, free), port)
 
 
 class SiteServer(LocalServer):
-    """The server of one site."""
+    """Server of one site."""
 
     def __init__(self, frames: SiteFrames, path: Path, added: Mapping[str, Any], port: int) -> None:
         self.frames, self.added = frames, added
@@ -107,13 +107,13 @@ class SiteServer(LocalServer):
         super().__init__(port, _Handler)
 
     def _measure(self) -> str | None:
-        """The command that measures the traffic of the footage by the site; None where there is no traffic to see."""
+        """Return the command that measures the traffic of the footage; None for an empty canvas or without one."""
         if self.frames.source is None or self.frames.count < 2:
             return None
         return shlex.join(["skope", "eval", "traffic", self.frames.source, "--site", str(self.store.path)])
 
     def begin(self) -> dict[str, Any]:
-        """Title of the page, its document, and the document as it is saved."""
+        """Return the page's title, its document, and the saved document."""
         opened = self._opened()
         document = opened.document
         if opened.revision is None:
@@ -135,7 +135,7 @@ class SiteServer(LocalServer):
         }
 
     def _opened(self) -> Opened:
-        """The site file, with the picture of its plan under the name by which the page asks for it."""
+        """Return the site file, with its plan's image under the name that the page uses."""
         opened = self.store.read()
         if opened.plan is not None:
             path = opened.plan
@@ -144,7 +144,7 @@ class SiteServer(LocalServer):
         return opened
 
     def hold_plan(self, sent: Mapping[str, Any]) -> dict[str, Any]:
-        """Keep the picture of a plan that the user has loaded; `picture` is its name from now on."""
+        """Store the image of a plan that the user has loaded; `picture` of the answer is its name."""
         try:
             data = base64.b64decode(sent.get("data", ""), validate=True)
         except (TypeError, ValueError):
@@ -152,7 +152,7 @@ class SiteServer(LocalServer):
         return {"picture": self.plans.hold(data)}
 
     def save(self, sent: Mapping[str, Any]) -> tuple[int, dict[str, Any]]:
-        """Status and answer to a document that is to be saved."""
+        """Save a document; return status and answer."""
         document = _document(sent)
         problems = [
             *marks_of_document(document, self.frames.size).problems,
@@ -168,7 +168,7 @@ class SiteServer(LocalServer):
             raise UserError("revision: expected a text")
         now, plan = datetime.now(UTC).astimezone().replace(microsecond=0), document.get("plan")
         try:
-            self.store.check(revision)  # before a picture is written for nothing
+            self.store.check(revision)  # before an image is written in vain
             file = self.plans.saved_beside(self.store.path, plan.get("picture")) if isinstance(plan, dict) else None
             revision = self.store.save(document, solved, revision, now, file)
         except SavedElsewhereError:
@@ -178,18 +178,18 @@ class SiteServer(LocalServer):
         return HTTPStatus.OK, {"revision": revision, "said": said}
 
     def read(self, sent: Mapping[str, Any]) -> dict[str, Any]:
-        """What a file that the browser sends holds."""
+        """Return the content of a file that the browser sends."""
         with tempfile.TemporaryDirectory() as folder:
             return read_file(sent, Path(folder), self.frames.size)
 
     def merge(self, sent: Mapping[str, Any]) -> dict[str, Any]:
-        """The page's document joined with the saved one, and the saved one with its revision."""
+        """Return the page's document merged with the saved one, and the saved one with its revision."""
         opened = self._opened()
         document = merged_document(_document(sent, "base"), _document(sent, "mine"), opened.document)
         return {"document": document, "saved": opened.document, "revision": opened.revision}
 
     def above(self, sent: Mapping[str, Any]) -> dict[str, Any]:
-        """The road from above, as a frame shows it."""
+        """Return the view from above of a frame."""
         solved, _ = self.solved.solve(_document(sent))
         if solved.camera is None:
             raise UserError("the camera is not calibrated yet: " + solved.message)
@@ -197,10 +197,10 @@ class SiteServer(LocalServer):
         if not self.frames.count:
             return seen_from_above(solved.camera, None)
         if not isinstance(number, int) or not 0 <= number < self.frames.count:
-            raise UserError("frame: there is no such")
+            raise UserError("frame: no such frame")
         pixels = decoded_frame(self.frames.picture(number))
         if (pixels.shape[1], pixels.shape[0]) != self.frames.size:
-            raise UserError(f"frame {number + 1}: is of another size than the first one")
+            raise UserError(f"frame {number + 1}: has another size than the first one")
         return seen_from_above(solved.camera, pixels)
 
 

@@ -1,4 +1,4 @@
-"""The page's document from a site file, and back into it: what the page does not know stays in the file."""
+"""Convert a site file to the page's document and back; what the page does not know is kept in the file."""
 
 import contextlib
 import math
@@ -28,39 +28,39 @@ from skope.site.write_site import save_site
 KNOWN_FIELDS: Final = ("fov_deg", "height_m", "lens")
 """Keys of prior knowledge of a camera, with standard deviations."""
 PLAN_KEYS: Final = ("metres_per_pixel", "origin", "rotation_deg")
-"""Keys of a plan that say where its pixels lie in the world."""
+"""Keys of a plan that give the position of its pixels in the world."""
 POSE_KEYS: Final = (
     *("file", "raw", "fov_deg", "R", "t", "position", "look_at", "yaw_deg", "pitch_deg", "roll_deg", "points"),
     "ground",
 )
-"""Other ways in which a [camera] table says where a camera hangs; what the page has found takes their place."""
+"""Other forms of a pose in a [camera] table; the page's result replaces them."""
 
 
 class SavedElsewhereError(Exception):
-    """Somebody else has saved the file since it was read."""
+    """The file has been saved elsewhere since it was read."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Opened:
-    """A site file as the page has it."""
+    """Site file in the form of the page."""
 
     document: dict[str, Any]
     revision: str | None
-    """None: there is no file yet."""
+    """Revision of the file; None: there is no file yet."""
     vehicles: CameraPrior | None = None
-    """Evidence of vehicles on the camera."""
+    """Prior of the camera from vehicles."""
     plan: Path | None = None
-    """The plan's picture, which need not be there."""
+    """File of the plan's image, which may be missing."""
 
 
 class SiteStore:
-    """A site file that may not be there yet."""
+    """Site file that may be missing."""
 
     def __init__(self, path: Path, size: tuple[int, int]) -> None:
         self.path, self.size = path, size
 
     def read(self) -> Opened:
-        """The file as a document; an empty one where there is no file. Raises UserError as `read_site` does."""
+        """Return the file as a document; an empty one without a file. Raises UserError as `read_site` does."""
         if not self.path.exists():
             return Opened(document=document_of(None, self.size), revision=None)
         site = read_site(self.path)
@@ -69,7 +69,7 @@ class SiteStore:
                       plan=site.plan.file if site.plan else None)  # fmt: skip
 
     def check(self, revision: str | None) -> None:
-        """Raise SavedElsewhereError where the file is not the one of `revision` any more."""
+        """Raise SavedElsewhereError if the file does not have `revision` any more."""
         if self._revision() != revision:
             raise SavedElsewhereError
 
@@ -81,21 +81,21 @@ class SiteStore:
         when: datetime,
         plan: str | None = None,
     ) -> str:
-        """Write a document into the file.
+        """Write a document to the file.
 
         Args:
             document: The page's document, without problems.
-            solved: Its camera.
-            revision: Revision of what the page has read; None: there was no file.
-            when: Now, which the file says of its calibration.
-            plan: File name of the plan's picture; None: it keeps the name that it has in the file.
+            solved: The solved camera.
+            revision: Revision of the file when the page read it; None: there was no file.
+            when: Current time, saved as the time of calibration.
+            plan: File name of the plan's image; None: the name in the file is kept.
 
         Returns:
             The file's new revision.
 
         Raises:
-            SavedElsewhereError: The file is not the one of `revision` any more; nothing is written.
-            UserError: It cannot be written.
+            SavedElsewhereError: The file does not have `revision` any more; nothing is written.
+            UserError: The file cannot be written.
         """
         self.check(revision)
         try:
@@ -110,14 +110,14 @@ class SiteStore:
 
 
 def merged_document(base: Mapping[str, Any], mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> dict[str, Any]:
-    """One document with the changes of both.
+    """Merge the changes of two documents.
 
-    Where both have changed the same entry, mine counts. Entries are told by their names, or by their content.
+    If both have changed one entry, `mine` is used. Entries are matched by name, or by content.
 
     Args:
-        base: What both began with.
-        mine: What this window made of it.
-        theirs: What is saved now.
+        base: The common earlier document.
+        mine: The document of this window.
+        theirs: The saved document.
     """
     out = dict(mine)
     for kind in (*MARK_KINDS, *DRAWN_KINDS):
@@ -127,7 +127,7 @@ def merged_document(base: Mapping[str, Any], mine: Mapping[str, Any], theirs: Ma
             changed_here = entry != before.get(name)
             if name in other:
                 rows.append(entry if changed_here else other[name])
-            elif changed_here:  # new here, or taken away there but changed here
+            elif changed_here:  # new here, or changed here but removed there
                 rows.append(entry)
         rows += [entry for name, entry in other.items() if name not in own and entry != before.get(name)]
         out[kind] = rows
@@ -141,9 +141,9 @@ def _by_name(document: Mapping[str, Any], kind: str) -> dict[str, Mapping[str, A
 
 
 def document_of(site: SiteFile | None, size: tuple[int, int]) -> dict[str, Any]:
-    """The page's document of a site file.
+    """Return the page's document of a site file.
 
-    Raises UserError where the file's marks are of images of another size than `size`.
+    Raises UserError if the file's marks are in images of another size than `size`.
     """
     out: dict[str, Any] = {kind: [] for kind in (*MARK_KINDS, *DRAWN_KINDS)} | {"camera": None, "known": {}}
     out |= {"world": None, "plan": None, "time_zone": None, "start": None}
@@ -169,7 +169,7 @@ def document_of(site: SiteFile | None, size: tuple[int, int]) -> dict[str, Any]:
 
 
 def _gate(gate: Gate, size: tuple[int, int]) -> dict[str, Any]:
-    """A gate in the document; its pixels are those of the footage, unless the aspect ratio is another."""
+    """Return a gate for the document; its pixels are those of the footage, unless the aspect ratio differs."""
     with contextlib.suppress(UserError):  # `read_drawings` reports another aspect ratio as a problem
         gate = gate_at_size(gate, size)
     out: dict[str, Any] = {"name": gate.name, "directions": list(gate.directions or ("", ""))}
@@ -200,7 +200,7 @@ def _marks(marks: CalibrationMarks, size: tuple[int, int]) -> dict[str, Any]:
 
 
 def point_entry(point: MarkedPoint) -> dict[str, Any]:
-    """A point in the document, with standard deviations where they are not the usual ones."""
+    """Return a point for the document, with standard deviations that differ from the defaults."""
     usual = {"sigma_m": MARKING_ERRORS.place_m, "sigma_px": MARKING_ERRORS.pixel, "sigma_z_m": MARKING_ERRORS.height_m}
     own = {
         key: value
@@ -216,12 +216,12 @@ def _unless(key: str, value: float, default: float) -> dict[str, float]:
 
 def _camera(site: SiteFile, size: tuple[int, int]) -> dict[str, Any]:
     assert site.camera is not None
-    fitted_camera(site.camera.camera, size, f"{site.path}: camera", "the footage")  # or a UserError
+    fitted_camera(site.camera.camera, size, f"{site.path}: camera", "the footage")  # raises UserError if it differs
     return camera_dict(site.camera.known, site.camera.camera)
 
 
 def camera_dict(known: UncertainCamera | None, camera: Camera) -> dict[str, Any]:
-    """A camera in the document, with how well it is known where that is known."""
+    """Return a camera for the document, with its covariance if known."""
     out = {"width": camera.width, "height": camera.height, **camera.to_dict()}
     return out | ({"covariance": known.covariance_dict()} if known else {})
 
@@ -240,17 +240,17 @@ def changes_of(
     when: datetime,
     plan: str | None,
 ) -> dict[str, Any]:
-    """New values of the file's keys, as `save_site` takes them.
+    """Return new values of the file's keys for `save_site`.
 
     Args:
         document: The page's document, without problems.
-        solved: Its camera.
+        solved: The solved camera.
         size: Width and height of the images, pixels.
-        when: Now, which the file says of its calibration.
-        plan: File name of the plan's picture; None: it keeps the name that it has in the file.
+        when: Current time, saved as the time of calibration.
+        plan: File name of the plan's image; None: the name in the file is kept.
 
     Returns:
-        Keys at the top of the file -> values; None removes a key.
+        Values by top-level key of the file; None removes a key.
     """
     out: dict[str, Any] = {}
     marked = {kind: _saved_marks(document, kind) for kind in MARK_KINDS}
@@ -304,7 +304,7 @@ def _saved_drawing(kind: str, entry: Mapping[str, Any], camera: Camera | None) -
 
 
 def _saved_plan(document: Mapping[str, Any], file: str | None) -> dict[str, Any] | None:
-    """The [plan] table; a picture that is not there keeps the name that it has in the file."""
+    """Return the [plan] table; a missing image keeps its name in the file."""
     plan = document.get("plan")
     if not isinstance(plan, dict):
         return None
@@ -314,7 +314,7 @@ def _saved_plan(document: Mapping[str, Any], file: str | None) -> dict[str, Any]
 def _saved_camera(
     document: Mapping[str, Any], solved: SolvedCamera, size: tuple[int, int], when: datetime
 ) -> dict[str, Any] | None:
-    """The [camera] table; None where the page has found none, so that the file's own stays."""
+    """Return the [camera] table; None if the page has no camera, so that the file's own is kept."""
     loaded = (document.get("camera") or {}).get("trusted") is True
     if solved.camera is None or (solved.calibration is None and not loaded):
         return None

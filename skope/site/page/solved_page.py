@@ -1,4 +1,4 @@
-"""The server's answer to a document of the page: the camera that its marks give, the errors, drawings and advice."""
+"""Answer of the server to a document of the page: the camera from its marks, the errors, drawings and advice."""
 
 import json
 import math
@@ -24,42 +24,41 @@ from skope.site.page.overlays import overlays
 from skope.types import Array
 
 FIRST_ADVICE: Final = (
-    "Mark at least four points whose positions you know, or a known length and lines that are parallel on the road. "
+    "Mark at least four points with known positions, or a known length and lines that are parallel on the road. "
     "Gates in the image need no calibration; everything in metres does."
 )
 MIRRORED_ADVICE: Final = (
-    "These places are mirrored: the camera would hang below the road. Looking along x, y has to grow to the left, as "
-    "with x east and y north. Are x and y swapped (surveyors often count x to the north), or does y of your plan grow "
-    "downwards?"
+    "These positions are mirrored: the camera would be below the road. The axes must be right-handed, for example x "
+    "east and y north. Check whether x and y are swapped (common in survey data), or y points down in your plan."
 )
 DEGREES_ADVICE: Final = (
-    "These places look like latitude and longitude: degrees, not metres. Say which comes first, and they are taken as "
-    "metres around a point between them."
+    "These positions look like latitude and longitude: degrees, not metres. Choose which comes first, and they are "
+    "converted to metres around a point between them."
 )
 NUMBER_WORDS: Final = ("no", "one", "two", "three", "four")
 
 
 @dataclass(frozen=True)
 class SolvedPageRules:
-    """What the page reports of a solved camera."""
+    """Limits for reporting a solved camera."""
 
     no_metres: float = 0.2
-    """Positions that differ by less are not metres of a road."""
+    """Difference below which positions are not metres of a road."""
     cells: int = 80
-    """Cells across the image."""
+    """Number of cells across the image."""
     farthest_m: float = 250.0
-    """Distance up to which positions are reported, metres."""
+    """Maximum distance of reported positions, metres."""
     doubtful_sigmas: float = 3.0
-    """Residual from which a mark is highlighted, in standard deviations."""
+    """Minimum residual of a highlighted mark, in standard deviations."""
 
 
 SOLVED_PAGE: Final = SolvedPageRules()
 
 
 def missing(document: Mapping[str, Any], marks: Marks) -> str:
-    """Advice on what to mark or type before points can tell a camera; empty where points are not what is missing."""
+    """Return advice on what to mark or type before points give a camera; empty if no points are missing."""
     evidence = marks.evidence
-    # Three points have as many coordinates as a pose; a fourth is needed where the lens is not known.
+    # Three points have as many coordinates as a pose. A fourth is needed if the lens is unknown.
     needed = (
         POINT_FIT.fewest_points - 1
         if any("focal" in belief.of for belief in evidence.beliefs)
@@ -72,7 +71,7 @@ def missing(document: Mapping[str, Any], marks: Marks) -> str:
         return FIRST_ADVICE
     good = len(evidence.points)
     unplaced = [i for i in range(len(marked)) if i not in marks.entries["points"].values()]
-    words = f"{good} of {needed} points have their places. "
+    words = f"{good} of {needed} points have positions. "
     if unplaced:
         name = marked[unplaced[0]].get("name") or unplaced[0] + 1
         words += f"Type x and y of point {name} in metres"
@@ -84,7 +83,7 @@ def missing(document: Mapping[str, Any], marks: Marks) -> str:
 
 
 def in_degrees(evidence: Evidence) -> bool:
-    """Whether places look like degrees on the Earth: none of them a hand's breadth from the others as metres."""
+    """Return whether positions look like degrees: as metres, all would be within a hand's breadth."""
     if len(evidence.points) < 2:
         return False
     places: Array = np.array([point.place[:2] for point in evidence.points])
@@ -94,7 +93,7 @@ def in_degrees(evidence: Evidence) -> bool:
 
 
 def implausible(camera: Camera) -> str:
-    """Sentence on a camera that no road camera is, as marks give it that contradict each other; empty for any other."""
+    """Return a sentence on a camera that is implausible for a road, as contradictory marks give it; else empty."""
     fov_deg = 2 * math.degrees(math.atan(camera.width / 2 / float(camera.K[0, 0])))
     height_m = float(camera.position[2])
     if fov_deg >= KNOWN_RANGES["fov_deg"][0] and height_m >= KNOWN_RANGES["height_m"][0]:
@@ -106,13 +105,13 @@ def implausible(camera: Camera) -> str:
 
 
 def below_road(evidence: Evidence, camera: Camera) -> bool:
-    """Whether a camera hangs below the points that it was found by, as a mirrored plan has it."""
+    """Return whether a camera is below all its points, as with a mirrored plan."""
     heights = [point.place[2] for point in evidence.points]
     return bool(heights) and float(camera.position[2]) < min(heights)
 
 
 def error_map(known: UncertainCamera) -> dict[str, Any]:
-    """Square cells of `cell` pixels, row by row from the top: errors in their middles, metres; None: no road there."""
+    """Return square cells of `cell` pixels, row by row from the top, with errors in metres; None: no road there."""
     camera = known.camera
     cell = max(4, -(-camera.width // SOLVED_PAGE.cells))
     columns, rows = -(-camera.width // cell), -(-camera.height // cell)
@@ -124,7 +123,7 @@ def error_map(known: UncertainCamera) -> dict[str, Any]:
 
 
 def values(errors: Array) -> list[float | None]:
-    """Numbers as JSON has them: three digits, None for NaN."""
+    """Return numbers as JSON values: three digits, None for NaN."""
     return [float(f"{value:.3g}") if np.isfinite(value) else None for value in errors.tolist()]
 
 
@@ -134,35 +133,35 @@ RESIDUAL_UNITS: Final = {"points": "px", "lengths": "m", "parallels": "deg", "ve
 
 @dataclass(frozen=True, eq=False)
 class SolvedCamera:
-    """The camera of a document."""
+    """Camera of a document."""
 
     camera: Camera | None
     known: UncertainCamera | None
-    """The camera with its covariance; None where nothing says how well it is known."""
+    """The camera with its covariance; None if the uncertainty is unknown."""
     message: str
-    """Reason why there is no camera, or why it is not that of the marks; empty where it is."""
+    """Reason why there is no camera, or why it is not from the marks; empty if it is."""
     mend: str = ""
-    """Faults that the page may offer to mend by itself: "degrees" or "mirrored" places; empty: none."""
+    """Fault that the page offers to correct: "degrees" or "mirrored" positions; empty: none."""
     left_out: Mapping[str, LeftOutError] = field(default_factory=dict)
-    """Error of each point, left out once and placed by the others, by its name."""
+    """Leave-one-out error of each point, by name."""
 
     @property
     def calibration(self) -> SiteCalibration | None:
-        """The camera that the marks told; None where it is a given one."""
+        """Calibration from the marks; None for a given camera."""
         return self.known if isinstance(self.known, SiteCalibration) else None
 
 
 class SolvedPage:
-    """Answers to documents, whose camera is solved again only where its marks have changed."""
+    """Answers to documents; the camera is solved again only if its marks have changed."""
 
     def __init__(self, size: tuple[int, int], vehicles: CameraPrior | None = None) -> None:
-        """`vehicles` is what vehicles say of the camera."""
+        """`vehicles` is the prior of the camera from vehicles."""
         self.size, self._vehicles = size, vehicles
         self._lock = threading.Lock()
         self._last: tuple[str, SolvedCamera] | None = None
 
     def solve(self, document: Mapping[str, Any]) -> tuple[SolvedCamera, Marks]:
-        """The camera of a document, and its marks."""
+        """Return the camera of a document, and its marks."""
         marks = marks_of_document(document, self.size)
         key = json.dumps([document.get(kind) for kind in (*MARK_KINDS, "camera", "known")], sort_keys=True)
         with self._lock:
@@ -191,7 +190,7 @@ class SolvedPage:
         except UserError as error:
             return replace(fallback, message=str(error).removeprefix("calibration: "))
         except (np.linalg.LinAlgError, FloatingPointError):
-            return replace(fallback, message="no camera agrees with what is marked")
+            return replace(fallback, message="no camera agrees with the marks")
         if below_road(evidence, found.camera):
             return replace(fallback, message=MIRRORED_ADVICE, mend="mirrored")
         if words := implausible(found.camera):
@@ -199,7 +198,7 @@ class SolvedPage:
         return SolvedCamera(found.camera, found, "", left_out=left_out_errors(evidence, found))
 
     def look(self, document: Mapping[str, Any]) -> dict[str, Any]:
-        """All that the page shows of a document."""
+        """Return everything that the page shows of a document."""
         solved, marks = self.solve(document)
         drawings, problems = read_drawings(document, self.size)
         out: dict[str, Any] = {
@@ -225,7 +224,7 @@ class SolvedPage:
         return out
 
     def places(self, document: Mapping[str, Any], pixels: Any) -> dict[str, Any]:
-        """Places of pixels (N, 2) on the road: rows [x, y] in metres or None, and the error of each in metres."""
+        """Return positions of pixels (N, 2) on the road: rows [x, y] in metres or None, and their errors in metres."""
         rows = positions(pixels, 2)
         if rows is None:
             raise UserError("pixels: expected rows of two numbers")
@@ -243,14 +242,14 @@ class SolvedPage:
 
 @dataclass(frozen=True, eq=False)
 class GivenCamera:
-    """A camera that a file says."""
+    """Camera of a file."""
 
     camera: Camera
     known: UncertainCamera | None
 
 
 def given_camera(document: Mapping[str, Any], size: tuple[int, int]) -> GivenCamera | None:
-    """The camera that came with a document, at the footage's size; a UserError where it is none."""
+    """Return the camera that came with a document, at the footage's size; raise UserError if it is invalid."""
     value = document.get("camera")
     if value is None:
         return None
@@ -262,12 +261,12 @@ def given_camera(document: Mapping[str, Any], size: tuple[int, int]) -> GivenCam
 
 
 def _known(camera: Camera, value: Any) -> UncertainCamera | None:
-    """The camera with the covariance that came with it; None where none did."""
+    """Return the camera with its covariance; None if there is none."""
     return UncertainCamera.from_dict(camera, value) if isinstance(value, dict) else None
 
 
 def _figures(solved: SolvedCamera) -> dict[str, Any]:
-    """The camera in numbers that people know, with standard deviations where they are known."""
+    """Return the camera's parameters for users, with standard deviations if known."""
     assert solved.camera is not None
     camera = solved.camera
     yaw, pitch, roll = camera.angles
@@ -306,10 +305,9 @@ def _sigmas(known: UncertainCamera | None) -> dict[str, float]:
 
 
 def _residuals(calibration: SiteCalibration, marks: Marks, without: Mapping[str, LeftOutError]) -> list[dict[str, Any]]:
-    """Distance of each mark from the camera, in the order of the document's lists; left-out points too.
+    """Return the residual of each mark, in the order of the document's lists; left-out points too.
 
-    `by_others` of a point is [how far from its place the others put it, within what that lies in 90% of the cases],
-    metres; None where they do not say it.
+    `by_others` of a point is [leave-one-out error, its 90% bound], metres; None if not available.
     """
     out = []
     told = {(one.kind, one.name): one for one in calibration.residuals}
@@ -342,19 +340,19 @@ def _by_others(error: LeftOutError | None) -> list[float] | None:
 
 
 def _expected(camera: Camera, place: Array) -> list[float] | None:
-    """The pixel at which a camera sees a place."""
+    """Return the pixel at which a camera sees a position."""
     pixel, _, valid = camera.project(place)
     return [round(float(v), 2) for v in pixel] if valid else None
 
 
 def _toward(drawings: list[Drawing]) -> Array | None:
-    """The direction of the first lane, along which boxes stand."""
+    """Return the direction of the first lane, along which boxes are drawn."""
     lane = next((one for one in drawings if one.kind == "lanes"), None)
     return None if lane is None else lane.positions[-1] - lane.positions[0]
 
 
 def unfinished(problems: list[Problem]) -> str:
-    """Sentence on what keeps a document from being saved; empty where nothing does."""
+    """Return a sentence on what keeps a document from being saved; empty if nothing does."""
     if not problems:
         return ""
     first = problems[0]

@@ -92,7 +92,7 @@ export class Views {
     }
     this.now.picking = null;
     const known = this.does.document().plan;
-    // A picture that had gone has its scale still; another one has to be scaled anew.
+    // A restored picture keeps its scale; a new picture has to be scaled again.
     this.setPlan(known && !known.picture ? { ...known, picture: this.plan.loaded } : null);
     await this.show("plan");
   }
@@ -134,7 +134,7 @@ function placed({ metres_per_pixel: size, origin: [x0, y0], rotation_deg: turn =
 }
 
 class PlanView {
-  // `changed` is told what the document's plan is to be from now on, `came` when another picture is there.
+  // `changed` receives the document's new plan, `came` when another picture is there.
   constructor(changed, came) {
     Object.assign(this, { changed, came, pictures: new Map(), loaded: null, ends: [] });
     byId("scale-form").addEventListener("submit", (event) => this.use(event));
@@ -170,7 +170,7 @@ class PlanView {
     [this.loaded, this.ends] = [name, []];
   }
 
-  // One of the two points by which the plan is scaled.
+  // One of the two points that give the plan its scale.
   click(position) {
     this.ends = [...this.ends, position];
     if (this.ends.length === 2) byId("scale").showModal();

@@ -96,7 +96,7 @@ def test_a_turned_camera_is_found_within_what_is_stated(
     )
     assert code == 0, error
     assert "the image has moved by" in out
-    assert "places on the road lie within (90%)" in out
+    assert "position errors on the road (90%)" in out
     read, document = read_camera(Path("new.json"))[0], json.loads(Path("new.json").read_text())
     found = UncertainCamera.from_dict(read, document["covariance"])
     assert "turned as new.png shows" in document["calibrated"]["from"]
@@ -127,14 +127,14 @@ def test_what_is_not_sure_is_refused(skope: Any, tmp_path: Path) -> None:
     bare = {key: value for key, value in document.items() if key != "covariance"}
     Path("bare.json").write_text(json.dumps(bare))
     cases = [
-        ((other, old, "--camera", "old.json"), "too little of one picture is found in the other"),
-        ((aside, old, "--camera", "old.json"), "mark points in the new picture"),
+        ((other, old, "--camera", "old.json"), "too few common corners in the two images"),
+        ((aside, old, "--camera", "old.json"), "mark points in the new image"),
         ((small, old, "--camera", "old.json"), "is 320x180, but"),
         ((flat, flat, "--camera", "old.json"), "old.json: image size: expected the aspect ratio of"),
         ((old, old, "--camera", "bare.json"), "bare.json: covariance: missing"),
         ((old, old), "--refit: needs --picture, and either --points or --camera"),
         ((old, tmp_path / "none.png", "--camera", "old.json"), "no such file or folder"),
-        ((old, f"{old}@2", "--camera", "old.json"), "expected one picture, or a video"),
+        ((old, f"{old}@2", "--camera", "old.json"), "expected one image, or a video"),
         ((old, f"{old}@x", "--camera", "old.json"), "expected a file, or FILE@SECONDS"),
     ]
     for (new, before, *rest), words in cases:

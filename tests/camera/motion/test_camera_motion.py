@@ -98,7 +98,7 @@ def test_places_and_speeds_are_those_of_a_camera_that_stands_still(skope: Any) -
         coco.write(Path(f"{name}.json"), file)
         code, out, error = skope("eval", "track", "--annotations", f"{name}.json", "--ground", 0, "--out", name)
         assert code == 0, error
-        assert ("taken out frame by frame" in out) == (name == "shaken")
+        assert ("corrected in each frame" in out) == (name == "shaken")
         lines = Path(f"{name}/tracks.csv").read_text().splitlines()
         columns = lines[0].split(",")
         tracks[name] = [dict(zip(columns, line.split(","), strict=True)) for line in lines[1:]]

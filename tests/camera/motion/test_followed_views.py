@@ -74,7 +74,7 @@ def test_views_are_followed_past_a_cut_to_another_scene(tmp_path: Path) -> None:
     lost, again = with_homographies(footage, changes, 10.4)
     assert lost == changes[0]
     assert lost.to_dict() == {"time_s": 3.5, "cut": True, "shift": 0.0}
-    assert "not surely known" in str(lost)
+    assert "not reliably known" in str(lost)
     assert again.from_first is not None
     off = transformed(again.from_first.matrix, CORNERS) - transformed(KNOCKED, CORNERS)
     assert np.abs(off).max() < 0.5

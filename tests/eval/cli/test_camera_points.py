@@ -64,7 +64,7 @@ def test_a_site_file_is_calibrated_by_all_that_it_has(skope: Any) -> None:
     assert (error < 2 * known.place_error(at)).all()
     row = document["marked_points"][0]
     assert set(row["left_out"]) == {"error_m", "stated_m"}
-    assert "places on the road lie within (90%)" in out
+    assert "position errors on the road (90%)" in out
     assert "length 1: " in out
     # The same again leaves the file as it is.
     assert skope(*camera_command("site.toml"))[0] == 0
@@ -126,8 +126,8 @@ def test_a_wrong_point_is_named_in_what_is_said_and_written(skope: Any) -> None:
         ),
         ("s.toml", "time_zone = 'UTC'\n", [], "s.toml: calibration: missing"),
         ("s.toml", "[calibration]\nheight_m = [5, 0.1]\n", [], "s.toml: calibration.size: missing"),
-        ("s.toml", "[calibration]\nsize = [640, 480]\n", [], "s.toml: calibration: nothing tells metres"),
-        ("s.toml", "[calibration]\nsize = [640, 480]\n", ["--size", "1280x720"], "calibration.size: 640x480"),
+        ("s.toml", "[calibration]\nsize = [640, 480]\n", [], "s.toml: calibration: the scale is unknown"),
+        ("s.toml", "[calibration]\nsize = [640, 480]\n", ["--size", "1280x720"], "calibration.size: marks are in 640x480"),
         ("a.otrfpts", "{}", [], "--size: needed"),
         ("a.otrfpts", "{}", ["--size", "0x5"], "--size: expected WIDTHxHEIGHT"),
         ("a.otrfpts", "{}", ["--size", "12²x5"], "--size: expected WIDTHxHEIGHT"),

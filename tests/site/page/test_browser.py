@@ -713,7 +713,7 @@ def test_a_length_and_parallel_lines_tell_a_camera_without_places(open_page: Ope
             page.click(pixel)
     page.settle()
     assert page.count("#marks > .parallels") == 1
-    assert "nothing tells metres" in page.text("#message")
+    assert "the scale is unknown" in page.text("#message")
     page.tool("lengths")
     for pixel in pixels_of([[4, 8], [6, 30]]):
         page.click(pixel)

@@ -37,7 +37,7 @@ def test_marks_of_images_of_another_size_are_refused(skope: Any, image: Path) ->
     save_site(site, {"calibration": {"size": [800, 600], "points": points}}, None)
     code, out, error = skope("eval", "site", image, "--site", site, "-q")
     assert (code, out) == (2, "")
-    assert "calibration.size: 800x600 was marked, but the images are 640x360" in error
+    assert "calibration.size: marks are in 800x600, but the images are 640x360" in error
 
 
 def test_a_camera_of_another_image_size_is_scaled_or_rejected(skope: Any, image: Path) -> None:

@@ -74,7 +74,7 @@ def test_gates_are_warned_of() -> None:
     lane = (np.array([[0.0, 10.0], [0.0, 40.0]]), 3.5)
     assert warned([[0, 15], [1, 25]], [lane]).startswith("runs along a lane (6 degrees to it)")
     assert warned([[5, 15], [6, 25]], [lane]) == ""  # beside the lane
-    assert "known to 2.5 m only" in warned([[-4, 20], [4, 20]], error=2.5)
+    assert "errors of up to 2.5 m" in warned([[-4, 20], [4, 20]], error=2.5)
     assert "outside the image" in warned([[-4, -20], [4, -20]])
     assert "nothing can cross it" in warned([[4, 20], [4.1, 20]])
     # The image's lower edge shows the road 8.8 m ahead: south of this gate nothing is seen 3 m away.

@@ -137,11 +137,11 @@ def moved_places(way: Callable[[float, float], tuple[float, float]]) -> list[dic
 def test_what_is_missing_is_said_point_by_point() -> None:
     points = marked_points(4)
     assert look_at([])["message"].startswith("Mark at least four points")
-    assert look_at(points[:1])["message"].startswith("1 of 4 points have their places. Mark three more")
+    assert look_at(points[:1])["message"].startswith("1 of 4 points have positions. Mark three more")
     assert "Mark one more" in look_at(points[:3])["message"]
     points[1]["place"] = [None, None, 0]
     message = look_at(points[:3])["message"]
-    assert message.startswith("2 of 4 points have their places. Type x and y of point 2 in metres, then mark one more")
+    assert message.startswith("2 of 4 points have positions. Type x and y of point 2 in metres, then mark one more")
     assert look_at(marked_points(4))["message"] == ""
     known = {"fov_deg": [65.9, 1.0]}  # with the lens known, three points tell a pose
     assert look_at(marked_points(2), known=known)["message"].startswith("2 of 3 points")
@@ -227,7 +227,7 @@ def test_a_lens_file_is_kept_as_evidence(serve: Serve) -> None:
         "distortion_coefficients: !!opencv-matrix\n   rows: 1\n   cols: 4\n   dt: d\n   data: [ -0.1, 0., 0., 0. ]\n"
     )
     found = json.loads(ask(served, "/read", {"name": "lens.yml", "text": text})[2])
-    assert "lens alone" in found["said"]
+    assert "only the lens" in found["said"]
     assert "camera" not in found
     assert found["lens"] == {"focal_px": [500.0, 5.0], "k1": [-0.1, 0.02]}  # of 640 pixels in place of 1280
     begun = json.loads(ask(served, "/begin.json")[2])["document"]
