@@ -14,7 +14,7 @@ import skope
 
 def main(image: str, camera: str) -> None:
     found = skope.load_detector()(image).above(0.5)
-    located = skope.locate(found, skope.read_camera(camera))
+    located = skope.estimate_poses(found, skope.read_camera(camera))
     poses = located.poses
     print("     x      y  +- m  heading  length  type")
     for i in np.flatnonzero(located.good):

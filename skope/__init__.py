@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from skope.api.detector import load_detector as load_detector
     from skope.api.footage import Video as Video
     from skope.api.footage import VideoFrame as VideoFrame
-    from skope.api.metres import locate as locate
+    from skope.api.metres import estimate_poses as estimate_poses
     from skope.api.metres import read_camera as read_camera
     from skope.api.metres import track as track
     from skope.api.scores import score as score
@@ -44,7 +44,7 @@ PUBLIC_PLACES = {
     "count": "skope.api.traffic",
     "generate": "skope.api.datasets",
     "load_detector": "skope.api.detector",
-    "locate": "skope.api.metres",
+    "estimate_poses": "skope.api.metres",
     "measure_traffic": "skope.api.traffic",
     "open_dataset": "skope.api.datasets",
     "read_camera": "skope.api.metres",

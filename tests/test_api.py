@@ -105,7 +105,7 @@ def test_a_detector_answers_as_its_model(random_run: Path, dataset: Path) -> Non
     np.testing.assert_array_equal(again.scores, found.scores)
     best = float(np.sort(found.scores)[-2])
     assert found.above(best).scores.tolist() == [s for s in found.scores.tolist() if s > best]
-    both = detector.many([image.pixels(), image.pixels()[:100]])
+    both = detector.detect_batch([image.pixels(), image.pixels()[:100]])
     assert [one.size[1] for one in both] == [image.record.height, 100]
     with pytest.raises(ValueError, match="uint8"):
         detector(image.pixels().astype(np.float32))
@@ -136,7 +136,7 @@ def test_a_detector_rejects_other_arrays_in_one_line(random_run: Path, dataset: 
             detector(image)
         assert "\n" not in str(error.value)
         with pytest.raises(UserError, match=r"^images\[1\]: expected \(H, W, 3\) RGB pixels of type uint8.*, got "):
-            detector.many([rgb, image])
+            detector.detect_batch([rgb, image])
 
 
 def frames(count: int = 20) -> list[tuple[Detections, float]]:
@@ -155,7 +155,7 @@ def frames(count: int = 20) -> list[tuple[Detections, float]]:
 def test_vehicles_are_located_and_followed() -> None:
     file = drive(2.0, 10.0)
     seen = frames()
-    located = [door.locate(detections, CAMERA) for detections, _ in seen]
+    located = [door.estimate_poses(detections, CAMERA) for detections, _ in seen]
     middle = located[10]
     truth = [a.box_3d.center[:2] for a in file.by_image()[11] if a.box_3d]
     assert middle.good.all()
@@ -169,7 +169,7 @@ def test_vehicles_are_located_and_followed() -> None:
 
 def test_without_a_known_ground_size_tells_the_distance() -> None:
     detections, _ = frames()[10]
-    known, unknown = (door.locate(detections, CAMERA, ground=ground) for ground in (0.0, None))
+    known, unknown = (door.estimate_poses(detections, CAMERA, ground=ground) for ground in (0.0, None))
     assert np.abs(unknown.poses.position - known.poses.position).max() < 2.5
     assert np.trace(unknown.poses.covariance[0]) > np.trace(known.poses.covariance[0])
 
@@ -177,7 +177,7 @@ def test_without_a_known_ground_size_tells_the_distance() -> None:
 def test_a_camera_of_another_shape_is_refused() -> None:
     detections, _ = frames(2)[1]
     with pytest.raises(UserError, match=r"expected the aspect ratio of the camera, 1920x1080, got 400x400"):
-        door.locate(replace(detections, size=(400, 400)), CAMERA)
+        door.estimate_poses(replace(detections, size=(400, 400)), CAMERA)
 
 
 def test_scores_are_those_of_the_command(skope: Any, dataset: Path, tmp_path: Path) -> None:

@@ -141,7 +141,7 @@ def test_a_camera_of_another_image_size_is_scaled_with_a_warning(detector: door.
 
 def test_the_camera_is_told_by_vehicles_or_not(detector: door.Detector, seen: Path) -> None:
     with pytest.raises(door.UserError, match="5 are needed"):
-        detector.video(seen / "v.mp4").find_camera()
+        detector.video(seen / "v.mp4").estimate_camera()
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ from skope.pose.keypoint_views import Scene, read_scene
 from skope.pose.pose_records import locate_view
 from skope.schema import Annotation, AnnotationFile, Image, Result
 from skope.tracking.tracker_inputs import detections_of
-from skope.tracking.vehicle_tracker import follow
+from skope.tracking.vehicle_tracker import track_vehicles
 from skope.types import Array
 
 CONFIRMED_SCORE = 0.5
@@ -342,7 +342,7 @@ def errors_of(scene: Scene) -> Errors:
     labels = {(a.image_id, a.track_id): a for a in scene.file.annotations}
     ids = [image.id for image in scene.file.images]
     speeds = []
-    for track in follow(found, times):
+    for track in track_vehicles(found, times):
         for frame, number, speed in zip(track.frames, track.truth_ids.tolist(), track.speed, strict=True):
             label = labels.get((ids[frame], number))
             if label is not None and label.velocity is not None and np.linalg.norm(label.velocity) >= SLOWEST:

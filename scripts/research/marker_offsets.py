@@ -19,7 +19,7 @@ import numpy as np
 from skope import keypoints
 from skope.camera.model import Camera
 from skope.dataset import coco
-from skope.pose.estimate_pose import Poses, locate
+from skope.pose.estimate_pose import Poses, estimate_poses
 from skope.pose.shape_model import Shapes, fleet_shapes, read_shapes
 from skope.schema import Annotation, Image
 from skope.types import Array
@@ -46,7 +46,7 @@ def fitted(image: Image, vehicles: list[Annotation], fov_deg: float, without: li
     found[..., 2] = found[..., 2] == 2
     found[:, without, 2] = 0
     longer = np.array([max(a.bbox[2:]) for a in vehicles])
-    return locate(camera, found, sigma_px=SIGMA * longer, ground=None, shapes=shapes)
+    return estimate_poses(camera, found, sigma_px=SIGMA * longer, ground=None, shapes=shapes)
 
 
 def camera_of(image: Image, fov_deg: float) -> Camera:

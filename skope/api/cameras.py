@@ -59,7 +59,7 @@ def save_camera(path: str | Path, camera: "Camera | UncertainCamera | CameraEsti
 
     Args:
         path: The .json file, which must be new, or hold the same.
-        camera: A camera, or what `calibrate_camera` or `Video.find_camera` gave.
+        camera: A camera, or what `calibrate_camera` or `Video.estimate_camera` gave.
 
     Raises:
         UserError: The file cannot be written, or holds something else.

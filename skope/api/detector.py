@@ -54,7 +54,7 @@ class Detector:
         """
         return self._found([_pixels("image", image)])[0]
 
-    def many(self, images: Sequence[Pixels | str | Path]) -> "list[Detections]":
+    def detect_batch(self, images: Sequence[Pixels | str | Path]) -> "list[Detections]":
         """Detect the vehicles in several images. Images of one size are processed as one batch.
 
         Args:

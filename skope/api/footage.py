@@ -193,7 +193,7 @@ class Video:
         observation = observation_of(scene, times, start_time_of(scene, job.start_time))
         return Tracks(tracks, observation, frame_index=index)
 
-    def find_camera(
+    def estimate_camera(
         self, *, height_m: float | None = None, fov_deg: float | None = None, max_vehicles: int = 40
     ) -> "CameraEstimate":
         """Estimate the camera from the vehicles of the whole video, as `skope eval camera` does.

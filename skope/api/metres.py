@@ -38,7 +38,7 @@ def read_camera(path: str | Path) -> Camera:
     return camera
 
 
-def locate(detections: "Detections", camera: Camera, *, ground: float | None = 0.0) -> "Located":
+def estimate_poses(detections: "Detections", camera: Camera, *, ground: float | None = 0.0) -> "Located":
     """Estimate position, heading and size of the vehicles of one image, in metres.
 
     Args:
@@ -58,7 +58,7 @@ def locate(detections: "Detections", camera: Camera, *, ground: float | None = 0
     """
     from skope.camera.ground_plane import Ground
     from skope.dataset.camera_of_file import sized
-    from skope.pose.estimate_pose import locate as solve
+    from skope.pose.estimate_pose import estimate_poses as solve
     from skope.pose.keypoint_views import view_of
     from skope.pose.pose_records import INTERPOLATED_REASON, Located
 
@@ -74,7 +74,7 @@ def track(frames: "Iterable[Located]", times_s: Sequence[float]) -> "Tracks":
     """Track vehicles through the frames of one camera.
 
     Args:
-        frames: Results of `locate`, one per frame.
+        frames: Results of `estimate_poses`, one per frame.
         times_s: Time of each frame, seconds, increasing.
 
     Returns:
@@ -86,12 +86,12 @@ def track(frames: "Iterable[Located]", times_s: Sequence[float]) -> "Tracks":
     """
     from skope.tracking.track_list import Tracks
     from skope.tracking.tracker_inputs import detections_of
-    from skope.tracking.vehicle_tracker import follow
+    from skope.tracking.vehicle_tracker import track_vehicles
     from skope.tracks.csv_file import as_written
     from skope.traffic.observation import Observation
 
     if (np.diff(times_s) <= 0).any():
         raise ValueError("times_s: expected increasing times")
     seconds = np.asarray(times_s, dtype=np.float64)
-    tracks = follow((detections_of(one) for one in frames), times_s)
+    tracks = track_vehicles((detections_of(one) for one in frames), times_s)
     return Tracks([as_written(one) for one in tracks], Observation(times_s=seconds))

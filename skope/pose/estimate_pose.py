@@ -150,7 +150,7 @@ class Poses:
         return self.T_world_vehicle[:, :3, 3]
 
 
-def locate(
+def estimate_poses(
     camera: Camera,
     points: ArrayLike,
     *,
@@ -179,7 +179,7 @@ def locate(
     space = shapes or fleet_shapes()
     if ground and not ground.level:
         camera, flat = levelled(camera, ground)
-        level = locate(camera, found, sigma_px=sigma, ground=flat, shapes=space, cut=at_edge)
+        level = estimate_poses(camera, found, sigma_px=sigma, ground=flat, shapes=space, cut=at_edge)
         return level.moved(ground.T_world_level)
     rng = np.random.default_rng(0)  # a fixed seed makes the result independent of earlier calls
     parts = [slice(i, i + POSE_LIMITS.chunk_vehicles) for i in range(0, len(found), POSE_LIMITS.chunk_vehicles)]

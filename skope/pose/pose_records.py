@@ -16,7 +16,7 @@ from skope.files.atomic import replacing
 from skope.files.csv_files import write_csv
 from skope.keypoints import WHEELS
 from skope.pose.camera_error import with_camera_error
-from skope.pose.estimate_pose import Poses, locate
+from skope.pose.estimate_pose import Poses, estimate_poses
 from skope.pose.keypoint_views import Scene, View
 from skope.types import Array
 
@@ -49,7 +49,7 @@ def locate_view(view: View, scene: Scene) -> Located:
     moved = scene.moved_in(image)
     if moved:
         found = np.zeros_like(found)
-    poses = locate(
+    poses = estimate_poses(
         camera, view.found[found], sigma_px=view.sigma_px[found], ground=scene.road_in(view.image), cut=view.cut[found]
     )
     # Unlike the calibration's error, this one is independent from frame to frame and affects the tracker.

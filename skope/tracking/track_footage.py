@@ -28,7 +28,7 @@ from skope.tracking.headings import with_body_error
 from skope.tracking.pedestrian_and_cycle_tracks import follow_road_users, of_body
 from skope.tracking.track_flags import flagged
 from skope.tracking.tracker_inputs import Detection, detection_from_dict, detection_to_dict, detections_of
-from skope.tracking.vehicle_tracker import follow
+from skope.tracking.vehicle_tracker import track_vehicles
 from skope.tracks.csv_file import TRACKS_CSV, as_written, write_tracks
 from skope.tracks.frame_files import mot_row, write_fcd, write_mot
 from skope.tracks.track import Track
@@ -155,7 +155,7 @@ def followed(
     """
     scene = job.scene
     seen = console.bar(_seen(job, progress, refused), total=len(times), unit="image", label="poses")
-    tracks = flagged(follow(seen, times))
+    tracks = flagged(track_vehicles(seen, times))
     road_users = _road_users(job, times, 1 + len(tracks))
     if scene.ground is not None:
         eye, sigma_m = scene.camera_of(scene.file.images[0]).position, scene.ground.height_sigma

@@ -147,13 +147,13 @@ def _diagonal(bbox: Array) -> float:
     return math.hypot(width, height)
 
 
-__all__ = ["Track", "follow"]
+__all__ = ["Track", "track_vehicles"]
 
 Posed = tuple[Detection, PoseMeasurement]
 """Detection that has a pose, and the pose."""
 
 
-def follow(images: Iterable[Sequence[Detection]], times_s: Sequence[float]) -> list[Track]:
+def track_vehicles(images: Iterable[Sequence[Detection]], times_s: Sequence[float]) -> list[Track]:
     """Follow the vehicles in consecutive images of one camera.
 
     Images are taken one at a time; memory grows by 150 bytes per vehicle and image.

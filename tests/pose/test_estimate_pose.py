@@ -60,7 +60,7 @@ def test_a_file_of_another_scheme_is_refused(tmp_path: Any) -> None:
 def test_known_shapes_are_placed_exactly(kind: str) -> None:
     vehicle = next(entry.vehicle for entry in fleet().values() if entry.vehicle.vehicle_type == kind)
     truth = scene([vehicle.points] * 16, np.random.default_rng(3), noise=0, far=60)
-    poses = estimate_pose.locate(CAMERA, truth.found, shapes=Shapes.known(vehicle.points, vehicle.size_lwh))
+    poses = estimate_pose.estimate_poses(CAMERA, truth.found, shapes=Shapes.known(vehicle.points, vehicle.size_lwh))
     metres, degrees = truth.errors(poses)
     assert metres.max() < 0.01
     assert degrees.max() < 0.1
@@ -69,7 +69,7 @@ def test_known_shapes_are_placed_exactly(kind: str) -> None:
 
 def test_unknown_shapes_come_near_the_bound_and_beat_a_mean_vehicle() -> None:
     truth = scene(drawn(300, 0), np.random.default_rng(1), noise=2)
-    poses = estimate_pose.locate(CAMERA, truth.found)
+    poses = estimate_pose.estimate_poses(CAMERA, truth.found)
     metres, degrees = truth.errors(poses)
     far = np.linalg.norm(truth.position - CAMERA.position[:2], axis=1) > 30
     assert far.sum() > 30
@@ -101,21 +101,21 @@ def test_a_lens_with_distortion_is_honoured() -> None:
     vehicle = fleet()["suv"].vehicle
     known = Shapes.known(vehicle.points, vehicle.size_lwh)
     truth = scene([vehicle.points] * 12, np.random.default_rng(3), noise=0, far=60, camera=camera)
-    assert truth.errors(estimate_pose.locate(camera, truth.found, shapes=known))[0].max() < 0.01
-    assert truth.errors(estimate_pose.locate(CAMERA, truth.found, shapes=known))[0].max() > 0.1
+    assert truth.errors(estimate_pose.estimate_poses(camera, truth.found, shapes=known))[0].max() < 0.01
+    assert truth.errors(estimate_pose.estimate_poses(CAMERA, truth.found, shapes=known))[0].max() > 0.1
 
 
 def test_without_a_ground_size_alone_tells_the_distance() -> None:
     vehicle = fleet()["sedan"].vehicle
     truth = scene([vehicle.points] * 6, np.random.default_rng(5), noise=0)
-    poses = estimate_pose.locate(
+    poses = estimate_pose.estimate_poses(
         CAMERA, truth.found, ground=None, shapes=Shapes.known(vehicle.points, vehicle.size_lwh)
     )
     metres, degrees = truth.errors(poses)
     assert metres.max() < 0.01
     assert degrees.max() < 0.1
-    free = estimate_pose.locate(CAMERA, truth.found, ground=None)
-    known = estimate_pose.locate(CAMERA, truth.found)
+    free = estimate_pose.estimate_poses(CAMERA, truth.found, ground=None)
+    known = estimate_pose.estimate_poses(CAMERA, truth.found)
     assert (free.covariance[:, 0, 0] > known.covariance[:, 0, 0]).all()
 
 
@@ -126,7 +126,7 @@ def test_wild_keypoints_do_not_move_a_vehicle() -> None:
     for row in wild:
         some = rng.choice(np.flatnonzero(row[:, 2]), size=2, replace=False)
         row[some, :2] += rng.uniform(60, 200, (2, 2)) * rng.choice([-1, 1], (2, 2))
-    poses = estimate_pose.locate(CAMERA, wild, sigma_px=1)
+    poses = estimate_pose.estimate_poses(CAMERA, wild, sigma_px=1)
     metres, degrees = truth.errors(poses)
     assert np.median(metres) < 0.15
     assert np.percentile(degrees, 90) < 5
@@ -165,7 +165,7 @@ def test_nonsense_is_refused_or_flagged(ground: Ground | None) -> None:
     truth = cases.pop("truth")
     for name, found in cases.items():
         few = slice(None) if ground else slice(8)
-        poses = estimate_pose.locate(CAMERA, found[few], sigma_px=1, ground=ground)
+        poses = estimate_pose.estimate_poses(CAMERA, found[few], sigma_px=1, ground=ground)
         wrong = np.array([r is None and not f for r, f in zip(poses.refusal, poses.flags, strict=True)])
         if name in ("sides", "ends"):
             # Unflagged answers there may be, where a vehicle hardly shows the difference; they are right then.
@@ -183,7 +183,7 @@ def test_half_a_vehicle_outside_the_image_is_placed() -> None:
     seen = truth.found[..., 2] > 0
     middle = np.array([np.median(row[good]) for row, good in zip(x, seen, strict=True)])
     half = truth.found * (x < middle[:, None])[..., None]
-    poses = estimate_pose.locate(CAMERA, half, sigma_px=1)
+    poses = estimate_pose.estimate_poses(CAMERA, half, sigma_px=1)
     good = np.array([reason is None for reason in poses.refusal])
     assert good.mean() > 0.6
     metres, _ = truth.errors(poses)
@@ -193,7 +193,7 @@ def test_half_a_vehicle_outside_the_image_is_placed() -> None:
 
 
 def test_no_vehicles_are_no_poses() -> None:
-    assert len(estimate_pose.locate(CAMERA, np.zeros((0, keypoints.K, 3)))) == 0
+    assert len(estimate_pose.estimate_poses(CAMERA, np.zeros((0, keypoints.K, 3)))) == 0
 
 
 @pytest.mark.parametrize("kind", ["sedan", "suv", "van", "box_truck", "bus"])
@@ -228,7 +228,7 @@ def test_keypoints_that_the_body_hides_may_lie_anywhere() -> None:
     for row, own in zip(found, seen, strict=True):
         low, high = row[own, :2].min(axis=0), row[own, :2].max(axis=0)
         row[~own] = np.column_stack([rng.uniform(low, high, ((~own).sum(), 2)), np.ones((~own).sum())])
-    poses = estimate_pose.locate(CAMERA, found, sigma_px=1.5)
+    poses = estimate_pose.estimate_poses(CAMERA, found, sigma_px=1.5)
     metres, degrees = road.errors(poses)
     refused = np.array([reason is not None for reason in poses.refusal])
     assert refused.sum() <= 6

@@ -20,7 +20,7 @@ from skope.tracking import kalman, track_footage
 from skope.tracking.headings import smoothed_headings
 from skope.tracking.tracker_inputs import Detection, PoseMeasurement, detection_from_dict, detection_to_dict
 from skope.tracking.tracks import Track
-from skope.tracking.vehicle_tracker import TRACKER_LIMITS, follow
+from skope.tracking.vehicle_tracker import TRACKER_LIMITS, track_vehicles
 from tests.eval.cli.test_footage import rows_of
 from tests.sightings import drive
 
@@ -76,7 +76,7 @@ def test_vehicles_of_any_speed_are_followed_at_any_frame_rate(fps: float) -> Non
     paths = [straight(speed, 4.0 * i) for i, speed in enumerate((0.0, 8.0, 14.0, 20.0, 33.0))]
     paths += [straight(14.0, 20.0, -28.0 * i) for i in range(3)]  # one behind the other, two seconds apart
     times = np.arange(0, 6, 1 / fps)
-    found = follow(seen(paths, times.tolist()), times.tolist())
+    found = track_vehicles(seen(paths, times.tolist()), times.tolist())
     assert sorted(map(sorted, names(found))) == [[i] for i in range(1, 9)]
     for track in found:
         (vehicle,) = names([track])[0]
@@ -89,7 +89,7 @@ def test_vehicles_of_any_speed_are_followed_at_any_frame_rate(fps: float) -> Non
 def test_headings_follow_a_turn(fps: float) -> None:
     path = turning(8.0, 12.0)
     times = np.arange(0, 5, 1 / fps)
-    (track,) = follow(seen([path], times.tolist()), times.tolist())
+    (track,) = track_vehicles(seen([path], times.tolist()), times.tolist())
     real = np.array([path(time)[2] for time in times])
     off = np.degrees(np.abs((track.heading - real + math.pi) % (2 * math.pi) - math.pi))
     assert np.median(off) < 1.5
@@ -103,7 +103,7 @@ def test_a_pose_that_jumps_leaves_the_box_its_track_and_one_that_stays_there_beg
         elsewhere = 20 <= i < 22 or i >= 40
         return [detection(0.8 * i, 30.0 if elsewhere else 0.0, 0.0, box=2.0 * i)]
 
-    before, after = follow((image(i) for i in range(60)), times)
+    before, after = track_vehicles((image(i) for i in range(60)), times)
     assert (before.frames.tolist(), after.frames.tolist()) == (list(range(40)), list(range(40, 60)))
     assert before.detected.all()
     assert after.detected.all()
@@ -123,7 +123,7 @@ def test_boxes_tell_neighbours_apart_whose_poses_do_not() -> None:
         second = detection(109 + off, 0.0, 0.0, sigma=4.0, box=400.0 + i, truth=2)
         return [first, second]
 
-    assert sorted(map(sorted, names(follow((image(i) for i in range(60)), times)))) == [[1], [2]]
+    assert sorted(map(sorted, names(track_vehicles((image(i) for i in range(60)), times)))) == [[1], [2]]
 
 
 @pytest.mark.parametrize(("jump_px", "same"), [(30.0, True), (400.0, False)])
@@ -138,7 +138,7 @@ def test_after_a_gap_a_track_does_not_go_on_with_what_is_elsewhere_in_the_image(
         x, box = 100 + 0.8 * i + 4.0 * late, 300 + 2.0 * i + jump_px * late
         return [detection(x, 0.0, 0.0, sigma=3.0, box=box, truth=1 + late)]
 
-    found = names(follow((image(i) for i in range(60)), times))
+    found = names(track_vehicles((image(i) for i in range(60)), times))
     assert sorted(map(sorted, found)) == ([[1, 2]] if same else [[1], [2]])
 
 
@@ -155,7 +155,7 @@ def test_sigmas_say_how_far_off_places_and_speeds_are() -> None:
             acceleration += -acceleration * 0.1 / 1.5 + rng.normal(0, math.sqrt(0.1))
         seen_at = [rng.normal(place, 0.1) if i % 5 == 0 else None for i, (place, _) in enumerate(real)]
         images = [[] if at is None else [detection(at, rng.normal(0, 0.1), 0.0, box=20 * at)] for at in seen_at]
-        (found,) = follow(images, times)
+        (found,) = track_vehicles(images, times)
         assert found.located.tolist() == [at is not None for at in seen_at[: len(found.frames)]]
         truth = np.array(real)[found.frames]
         places += ((found.position[:, 0] - truth[:, 0]) / found.position_sigma)[::5].tolist()
@@ -167,7 +167,7 @@ def test_sigmas_say_how_far_off_places_and_speeds_are() -> None:
 def test_two_vehicles_that_pass_each_other_keep_their_names() -> None:
     times = (np.arange(40) / 5).tolist()
     paths = [straight(10.0, 0.0), lambda time: (80 - 10.0 * time, 3.5, math.pi)]
-    assert sorted(map(sorted, names(follow(seen(paths, times), times)))) == [[1], [2]]
+    assert sorted(map(sorted, names(track_vehicles(seen(paths, times), times)))) == [[1], [2]]
 
 
 @pytest.mark.parametrize("fps", [25.0, 5.0])
@@ -182,7 +182,7 @@ def test_a_vehicle_that_is_detected_twice_is_followed_once(fps: float, twin_from
             return [own]
         return [[own], [twin], [own, twin]][rng.integers(3)]
 
-    (track,) = follow(map(image, times.tolist()), times.tolist())
+    (track,) = track_vehicles(map(image, times.tolist()), times.tolist())
     assert track.detected.mean() > 0.95
     assert np.abs(track.position[:, 1]).max() < 1.0
 
@@ -194,7 +194,7 @@ def test_two_tracks_that_come_together_are_one_vehicle() -> None:
     def image(i: int) -> list[Detection]:
         return [detection(0.5 * i, 0.0, 0.0), detection(0.5 * i, max(3.0 - 0.1 * i, 0.4), 0.0, box=300.0, truth=2)]
 
-    found = follow((image(i) for i in range(80)), times)
+    found = track_vehicles((image(i) for i in range(80)), times)
     longest, *others = sorted(found, key=lambda track: -len(track.frames))
     assert len(longest.frames) == 80
     assert longest.detected.all()
@@ -219,7 +219,7 @@ def test_neighbours_in_a_car_park_are_each_followed() -> None:
         ]
         for _ in times
     ]
-    assert sorted(map(sorted, names(follow(image, times)))) == [[i] for i in range(1, 7)]
+    assert sorted(map(sorted, names(track_vehicles(image, times)))) == [[i] for i in range(1, 7)]
 
 
 def parked(time: float) -> tuple[float, float, float]:
@@ -229,7 +229,7 @@ def parked(time: float) -> tuple[float, float, float]:
 def test_memory_grows_with_the_frames_and_not_with_their_square() -> None:
     times = (np.arange(3000) / 25).tolist()
     tracemalloc.start()
-    (track,) = follow(seen([parked], times), times)
+    (track,) = track_vehicles(seen([parked], times), times)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert len(track.frames) == 3000
@@ -241,9 +241,9 @@ def test_memory_grows_with_the_frames_and_not_with_their_square() -> None:
 def test_what_was_seen_long_ago_is_as_if_all_were_smoothed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     times = (np.arange(500) / 5).tolist()
     paths = [turning(6.0, 40.0), straight(0.3, 60.0)]
-    in_parts = follow(seen(paths, times), times)
+    in_parts = track_vehicles(seen(paths, times), times)
     monkeypatch.setattr("skope.tracking.vehicle_tracker.TRACKER_LIMITS", replace(TRACKER_LIMITS, lag_s=1e9))
-    at_once = follow(seen(paths, times), times)
+    at_once = track_vehicles(seen(paths, times), times)
     for one, other in zip(in_parts, at_once, strict=True):
         for name in ("position", "velocity", "acceleration", "heading"):
             np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-4)
@@ -311,14 +311,14 @@ def test_boxes_without_a_pose_are_a_vehicles_for_half_a_second_before_and_after(
     images = list(seen([path], times))
     for k in (*range(12), *range(28, 40)):
         images[k] = [replace(one, pose=None) for one in images[k]]
-    (track,) = follow(images, times)
+    (track,) = track_vehicles(images, times)
     assert track.frames.tolist() == list(range(7, 33))
     assert track.located.tolist() == [12 <= k < 28 for k in range(7, 33)]
     assert track.position[:, :2] == pytest.approx(np.array([path(time)[:2] for time in times[7:33]]), abs=0.3)
     assert (np.diff(track.position_sigma[:6]) < 0).all()
     assert (np.diff(track.position_sigma[-6:]) > 0).all()
     images[10] = []
-    (track,) = follow(images, times)
+    (track,) = track_vehicles(images, times)
     assert track.frames[0] == 11, "no box leads from one to the next"
 
 

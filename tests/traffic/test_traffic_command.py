@@ -26,7 +26,7 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.site.write_site import save_site
 from skope.tracking.headings import with_body_error
 from skope.tracking.track_list import Tracks
-from skope.tracking.vehicle_tracker import follow
+from skope.tracking.vehicle_tracker import track_vehicles
 from skope.tracks.csv_file import TRACKS_CSV, read_tracks, write_tracks
 from skope.traffic.measure import measure
 from skope.traffic.observation import FOOTAGE_FILE, Observation
@@ -297,7 +297,7 @@ def test_memory_folder_and_read_back_tracks_give_one_report(tracks: AnnotationFi
 
     times = (np.arange(60) / 10).tolist()
     drives = [straight(9.0 + k / 7, 3.1 * k) for k in range(4)]
-    made = follow(seen(drives, times), times)
+    made = track_vehicles(seen(drives, times), times)
     assert len(made) == 4
     folder = Path("memory")
     folder.mkdir()

@@ -19,7 +19,7 @@ from skope.camera.model import Camera
 from skope.dataset.image_selection import part
 from skope.errors import UserError
 from skope.files.json_files import json_bytes
-from skope.pose.estimate_pose import levelled, locate
+from skope.pose.estimate_pose import estimate_poses, levelled
 from skope.pose.fit_body_types import best_types
 from skope.pose.keypoint_views import Scene
 from skope.pose.observations import observe
@@ -214,7 +214,7 @@ def _plane(camera: Camera, unknowns: Array, like: Ground) -> Ground:
 
 def _through_free_fits(views: VehicleViews, camera: Camera) -> Ground:
     """Fit a plane robustly through the positions that vehicles have from their size alone."""
-    poses = locate(camera, views.found, sigma_px=views.sigma_px, ground=None, shapes=views.shapes)
+    poses = estimate_poses(camera, views.found, sigma_px=views.sigma_px, ground=None, shapes=views.shapes)
     good = np.array([reason is None for reason in poses.refusal])
     if good.sum() >= GROUND_SEARCH.fewest_places:
         points, sigma = poses.position[good], np.sqrt(np.maximum(poses.covariance[good, 2, 2], 0.01))

@@ -1,6 +1,6 @@
 """`skope eval`: measuring by itself, and its subcommands."""
 
-from skope.eval.cli.camera import find_camera
+from skope.eval.cli.camera import estimate_camera
 from skope.eval.cli.evaluate import calibrate_scores, compare_runs, evaluate_or_score, view
 from skope.eval.cli.predict import predict
 from skope.eval.cli.site import site
@@ -16,6 +16,6 @@ app.command(name="predict")(predict)
 app.command(name="pose")(pose)
 app.command(name="track")(track)
 app.command(name="traffic")(traffic)
-app.command(name="camera")(find_camera)
+app.command(name="camera")(estimate_camera)
 app.command(name="view")(view)
 app.command(name="site")(site)

@@ -13,7 +13,7 @@ from skope.terminal.console import Console
 turned = panel("A camera that was turned")
 
 
-def find_camera(
+def estimate_camera(
     keypoints: KeypointOptions,
     console: Console,
     points: Annotated[

@@ -127,7 +127,12 @@ def test_a_wrong_point_is_named_in_what_is_said_and_written(skope: Any) -> None:
         ("s.toml", "time_zone = 'UTC'\n", [], "s.toml: calibration: missing"),
         ("s.toml", "[calibration]\nheight_m = [5, 0.1]\n", [], "s.toml: calibration.size: missing"),
         ("s.toml", "[calibration]\nsize = [640, 480]\n", [], "s.toml: calibration: the scale is unknown"),
-        ("s.toml", "[calibration]\nsize = [640, 480]\n", ["--size", "1280x720"], "calibration.size: marks are in 640x480"),
+        (
+            "s.toml",
+            "[calibration]\nsize = [640, 480]\n",
+            ["--size", "1280x720"],
+            "size: marks are in 640x480",
+        ),
         ("a.otrfpts", "{}", [], "--size: needed"),
         ("a.otrfpts", "{}", ["--size", "0x5"], "--size: expected WIDTHxHEIGHT"),
         ("a.otrfpts", "{}", ["--size", "12²x5"], "--size: expected WIDTHxHEIGHT"),
