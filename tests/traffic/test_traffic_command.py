@@ -188,7 +188,7 @@ def test_files_that_are_wrong_get_one_line(skope: Skope, tracks: AnnotationFile)
     refused("t/tracks.csv: line 4: x: expected a number, got 'here'")
     Path("t/tracks.csv").write_text(whole)
     Path("t/footage.json").write_text(footage.replace('"times_s":[0.0', '"times_s":[9.0'))
-    refused("t/footage.json: times_s: expected times that rise from frame to frame")
+    refused("t/footage.json: times_s: expected increasing times")
     Path("t/footage.json").unlink()
     refused("t/footage.json: no such file; `skope eval track` writes it")
     code, _, err = skope("eval", "traffic", "t", "--start-time", "noon", "--out", "r")
@@ -474,8 +474,8 @@ def test_a_gate_near_the_edge_of_what_is_seen_is_warned_of(tmp_path: Path) -> No
     far = [straight(k, (-20.0, 0), (9, 0), 5, begin_s=5.0 + 5 * k) for k in range(6)]
     warned = [line for line in measure(near, watch, site).notes if "'edge'" in line]
     assert warned == [
-        "gate 'edge': 6 tracks begin or end within 2 m of it (6 crossings): many may be missed; move it to where "
-        "vehicles are seen on both sides"
+        "gate 'edge': 6 tracks begin or end within 2 m of it (6 crossings): many may be missed; move the gate to "
+        "where vehicles are visible on both sides"
     ]
     assert not [line for line in measure(far, watch, site).notes if "'edge'" in line]
 
@@ -490,8 +490,8 @@ def test_a_gate_that_ends_where_people_walk_is_warned_of(tmp_path: Path) -> None
         return [line for line in measure(walkers, watch, site).notes if "'short'" in line]
 
     assert warned(5.1) == [
-        "gate 'short': 4 road users pass so near to its ends that they go through it or past it: let it end where "
-        "nobody walks, as before a pavement or behind it"
+        "gate 'short': 4 road users pass so close to an end of the gate that they may be inside or outside; move the "
+        "ends to where no road user passes, for example to either edge of a pavement"
     ]
     assert not warned(2.0)
     assert not [line for line in warned(8.0) if "ends" in line]
