@@ -269,7 +269,7 @@ def test_columns_and_gaps(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="column class: missing; expected gate,direction,class,begin,end,count"):
         read_manual_counts(tmp_path / "c.csv", [GATE], TrafficSettings(), None, watched(9.0))
     gap = Observation(times_s=np.concatenate([np.arange(0, 60), np.arange(120, 200)]).astype(float))
-    with pytest.raises(UserError, match="line 2: begin: not all from here to end was observed"):
+    with pytest.raises(UserError, match="line 2: begin: the footage has a gap from begin to end"):
         read(tmp_path, "g,west,,50,130,1", observation=gap)
     rows = "g,west,car,0,60,1\ng,west,bus,0,60,1\ng,east,car,0,60,1\ng,west,car,60,90,1"
     assert [one.number for one in read(tmp_path, rows)] == [1, 1, 1, 1]

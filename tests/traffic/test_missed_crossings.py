@@ -102,7 +102,7 @@ def test_a_gate_that_loses_more_vehicles_than_cross_it_says_nothing_of_their_num
     assert [between(report, "west", who) for who in ("all", "vehicle")] == [None, None]
     assert between(report, "east") == (0, 0)
     (line,) = (line for line in report.notes if "lost before it" in line)
-    assert line.startswith("gate 'g' (west): more vehicles are lost before it, or found behind it, than cross it")
+    assert line.startswith("gate 'g' (west): no interval: more vehicles are lost before it, or found behind it, than")
 
 
 @pytest.mark.parametrize(("focal_px", "known"), [(1500.0, True), (700.0, True), (400.0, False), (None, True)])

@@ -217,7 +217,7 @@ def test_without_a_camera_gates_in_the_image_count_and_nothing_else(skope: Skope
     )
     code, out, err = skope("eval", "traffic", "seen", "--out", "r")
     assert code == 0, err
-    assert "no metres: nothing calibrates the camera" in out
+    assert "no metres: the camera is not calibrated" in out
     assert "classes of vehicles: not available at gates in the image" in out
     counts = {row["class"]: row for row in rows_of("r/counts.csv") if row["direction"] == "right"}
     assert list(counts) == ["all", "vehicle", "unknown", "motorcycle", "bicycle", "pedestrian"]
@@ -401,7 +401,7 @@ def test_footage_is_counted_by_gates_in_the_image_where_there_is_no_camera(
     site.write_text(IMAGE_GATE.format(width=192, height=128))
     code, out, err = skope(*call)
     assert (code, "warning" in err) == (0, False), err
-    assert "no metres: nothing calibrates the camera" in out
+    assert "no metres: the camera is not calibrated" in out
     written = {path.name for path in Path("r").iterdir()}
     assert {"seen", "counts.csv", "events.csv", "report.html", "summary.json"} <= written
     assert "tracks" not in written
