@@ -270,7 +270,7 @@ def test_what_cannot_be_counted_is_said(chromium_pages: Pages, counted: Path, tm
         browser.run("document.getElementById('hand-video').currentTime = 4")
         browser.until("!document.getElementById('hand-video').seeking")
         click(browser, "begin")
-        assert "At 0:00:04 nothing was observed" in note(browser)
+        assert "Nothing was observed at 0:00:04" in note(browser)
         browser.run("document.getElementById('hand-video').currentTime = 5")
         browser.until("!document.getElementById('hand-video').seeking")
         browser.run("document.querySelector('[name=hand-what][value=movements]').click()")

@@ -241,7 +241,7 @@ def test_begins_that_are_known_to_a_second_leave_no_overlap() -> None:
     ("start_time", "said"),
     [
         (["10:00:00", "10:00:58"], "b: begins at 2026-11-26T10:00:58+01:00, before a ends (2026-11-26T10:01:00"),
-        (["10:00:00"], "--start-time: expected a time for each of 2 recordings, in their order; got 1"),
+        (["10:00:00"], "--start-time: expected one time for each of 2 recordings, in their order; got 1"),
         ([], "a: the start time is not known: give --start-time once for each recording"),
         (["10:00:00", "noon"], "--start-time: expected a time like 2026-11-26T10:00:00, got '2026-11-26Tnoon'"),
     ],

@@ -109,7 +109,7 @@ def spoilt(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], object]:
         (lambda out: (out / "tallies.json").unlink(), "out/tallies.json: no such file"),
         (
             lambda out: Path("found.json").unlink(),
-            "found.json: no such file, but out/metrics.json is of it; it is looked",
+            "found.json: no such file, but out/metrics.json refers to it; the path",
         ),
         (lambda out: Path("found.json").write_text("[]"), "found.json: has changed since out/metrics.json was written"),
         (
