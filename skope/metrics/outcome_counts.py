@@ -103,7 +103,7 @@ Quotients = dict[Name, tuple[Array, Array]]
 
 
 def quotients(counts: ImageCounts) -> Quotients:
-    """Return numerators and denominators, whose sums over images give each figure of `FIGURE_NAMES`.
+    """Return numerators and denominators of each figure of `FIGURE_NAMES`, per image.
 
     The figures are those of the table in the SKoPe3D paper, in its own protocol (`paper`) and pooled (`pooled`).
     """

@@ -216,10 +216,10 @@ class ConflictSearch:
 
     conflicts: tuple[Conflict, ...]
     overlapping: int
-    """Number of pairs whose footprints overlap or touch: two tracks of one vehicle, or wrong positions. They are no
+    """Number of pairs with footprints that overlap or touch: two tracks of one vehicle, or wrong positions. They are no
     conflicts."""
     poorly_tracked_pairs: int
-    """Number of pairs of which one road user is tracked too poorly at the encounter to call it a conflict."""
+    """Number of pairs with a track that is too poor at the encounter to call it a conflict."""
 
 
 def conflicts(
@@ -235,7 +235,7 @@ def conflicts(
         trajectories: All tracks, in metres. Tracks with the flag `implausible_speed` are excluded.
         settings: Limits of the two times.
         rng: Random generator for positions and speeds, which give the uncertainty of a conflict.
-        zones: Zones, whose names the conflicts in them get.
+        zones: Zones. A conflict gets the name of the first zone that contains it.
         common_scale_sigma: Relative standard deviation of the scale, which all distances and speeds share. It cancels
             in times and widens the intervals of decelerations.
 

@@ -33,7 +33,7 @@ COUNT_LIMITS: Final = CountLimits()
 def pce_factors(crossings: Sequence[GateCrossing], settings: TrafficSettings) -> dict[str, float] | None:
     """Return the passenger-car equivalent of each class at one gate and direction.
 
-    A vehicle of class unknown gets the mean factor of the vehicles (car, van, lorry, bus) whose class is known there.
+    A vehicle of class unknown gets the mean factor of the vehicles with a known class (car, van, lorry, bus) there.
 
     Args:
         crossings: All crossings of the gate and direction that are counted, over the whole footage.

@@ -174,7 +174,7 @@ def _seen_by(gate: Gate, true: Camera, used: Camera, ground: Ground) -> Gate:
 
 
 def gates_in_image(gates: Sequence[Gate]) -> tuple[Gate, ...]:
-    """Return the gates that have `pixels`, with lines in pixels whose y is the negative image row."""
+    """Return the gates that have `pixels`, with lines in pixels (y is the negative image row)."""
     return tuple(replace(gate, line=tuple((u, -v) for u, v in gate.pixels)) for gate in gates if gate.pixels)
 
 

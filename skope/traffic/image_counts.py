@@ -65,7 +65,7 @@ def count_in_image(
     start: datetime | None = None,
     manual_counts: Sequence[ManualCount] = (),
 ) -> TrafficReport:
-    """Return counts and movements of tracks whose positions are image columns and negative rows, pixels.
+    """Return counts and movements of tracks with positions in pixels (columns and negative rows of the image).
 
     Args:
         tracks: The tracks.

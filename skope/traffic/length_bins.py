@@ -29,7 +29,7 @@ from skope.types import Array
 
 LENGTH_BINS: Final = ("short", "medium", "long")
 NO_BIN: Final = "unknown"
-"""Name of the bin of vehicles whose length is too uncertain."""
+"""Name of the bin of vehicles with a length that is too uncertain."""
 
 
 @dataclass(frozen=True)

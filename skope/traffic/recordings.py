@@ -44,7 +44,7 @@ def parse_start_time(said: str | datetime, site: "SiteFile", where: str) -> date
 
     Args:
         said: The time, with or without a zone.
-        site: The site, whose zone applies to a time without a zone.
+        site: The site. Its zone applies to a time without a zone.
         where: Start of the error message.
 
     Returns:
@@ -255,7 +255,7 @@ def begin_of(said: datetime | None, observation: Observation, site: "SiteFile") 
     Args:
         said: Start time given by the user; None: not given.
         observation: The recording, which may have its own start time.
-        site: The site, whose zone a start time of the recording is converted to.
+        site: The site. The recording's own start time is converted to its zone.
 
     Returns:
         `said`, else the recording's own start time, else None.

@@ -38,7 +38,10 @@ class ReportTable:
 
 
 def report_tables(report: TrafficReport) -> dict[str, ReportTable]:
-    """Return the tables by name. Without metres there are only those of counts, movements, events and visibility."""
+    """Return the tables by name.
+
+    Without metres there are only those of counts, manual counts, movements, events and visibility.
+    """
     manual_count = {"manual_count": _manual_count(report)} if report.manual_count_checks else {}
     always = {**manual_count, "visibility": _visibility(report), "events": _events(report)}
     if not report.metres:

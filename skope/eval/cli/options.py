@@ -86,7 +86,7 @@ class MachineOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class FastMachineOptions(MachineOptions):
-    """The same for a command whose results need not be those of every other machine to the last digit."""
+    """Machine options for commands that may give slightly different results on different machines."""
 
     backend: BackendOption = "auto"
     precision: PrecisionOption = "auto"

@@ -39,7 +39,7 @@ def predict(
     fps: Annotated[
         float | None,
         data_option(
-            help="Frames per second of a video whose time stamps are missing or wrong.",
+            help="Frames per second of a video with missing or wrong time stamps.",
             show_default="its time stamps",
         ),
     ] = None,

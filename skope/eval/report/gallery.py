@@ -78,7 +78,7 @@ def gallery(measured: SplitScores, root: Path, options: MetricOptions) -> list[P
         options: The counting rules. The lowest IoU threshold selects the images.
 
     Returns:
-        The images, without those whose files cannot be read.
+        The images, without unreadable files.
     """
     threshold = options.loosest
     outcomes = measured.outcomes[threshold]

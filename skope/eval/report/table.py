@@ -52,7 +52,7 @@ def render_table(
         metrics: The content of `metrics.json`.
         protocol: Protocol of the figures, one of `PROTOCOL_NAMES`.
         width: Maximum line length of the table, characters. A single split may need more.
-        beside: A published table (see `published`), whose rows are printed below ours; None: none.
+        beside: A published table (see `published`), to print below ours; None: none.
 
     Returns:
         The lines of the table, and the tables below it.

@@ -80,7 +80,7 @@ def image_view(gates: Sequence[Gate], camera: Camera) -> OtView:
 
 
 def pixel_view(gates: Sequence[Gate]) -> OtView:
-    """Return the view of a report without metres, whose positions are columns and negative rows of the image."""
+    """Return the view of a report without metres, with positions as columns and negative rows of the image."""
     return OtView(
         name="image",
         size=None,
