@@ -163,7 +163,7 @@ def test_what_is_wrong_is_said(detector: door.Detector, seen: Path, arguments: d
 def test_image_files_need_to_be_told_their_times(detector: door.Detector, tmp_path: Path) -> None:
     for i in range(0, FRAMES, 3):
         door.draw.write(tmp_path / f"{i}.png", np.full((360, 640, 3), LEVELS * i, dtype=np.uint8))
-    with pytest.raises(door.UserError, match="images have no times"):
+    with pytest.raises(door.UserError, match="carry no times"):
         detector.video(tmp_path, camera=CAMERA).tracks()
     video = detector.video(tmp_path, camera=CAMERA, fps=FPS / 3)
     assert sorted(round(float(np.median(track.speed))) for track in video.tracks()) == [0, 4]

@@ -18,7 +18,7 @@ EMPTY_ROAD_SIZE_FILE: Final = "empty_road.json"
 
 @dataclass(frozen=True)
 class RoadImage:
-    """How the image of the empty road is made."""
+    """Settings for the image of the empty road."""
 
     longer_px: int = 1280
     """Longer side, pixels."""

@@ -287,7 +287,7 @@ def test_gates_in_the_image_are_drawn_on_the_empty_road_if_the_footage_is_there(
     Path("a.mp4").unlink()
     code, out, err = skope("eval", "traffic", "seen", "--out", "later")
     assert code == 0, err
-    assert "note: the page has no picture of the road: " in out
+    assert "note: the page has no image of the road: " in out
     assert "<image" not in Path("later/report.html").read_text()
 
 
@@ -340,7 +340,7 @@ def test_footage_is_detected_and_tracked_first_and_once(
     site.write_text(HEAD + '[[gates]]\nname = "g"\nline = [[0, 20], [9, 20]]\n')
     code, _, err = skope(*call)
     assert (code, err.count("\n"), Path("r").exists()) == (2, 1, False)
-    assert "site.toml: gates: expected a gate that is drawn in the image (`pixels`), or a [camera] for metres" in err
+    assert "site.toml: gates: expected a gate drawn in the image (`pixels`), or a [camera] for metres" in err
     camera = "[camera]\nsize = [96, 64]\nfov_deg = 60.0\nposition = [0, 0, 6]\nyaw_deg = 90.0\npitch_deg = 20.0\n"
     camera += 'covariance = { of = ["z"], matrix = [[0.0036]] }\n'  # 6 cm of 6 m: all distances are off by 1%
     site.write_text(f"{site.read_text()}{camera}")

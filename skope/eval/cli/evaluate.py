@@ -201,7 +201,7 @@ def evaluate_or_score(
     ] = None,
     out: Annotated[
         Path | None,
-        output(metavar=DIR_METAVAR, help="Where to write.", show_default="RUN/eval, or eval for a results file"),
+        output(metavar=DIR_METAVAR, help="Output folder.", show_default="RUN/eval, or eval for a results file"),
     ] = None,
     fast: Annotated[
         bool, machine("--fast", help="Predict keypoints only for detections above --score; AP is then not available.")

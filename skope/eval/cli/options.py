@@ -65,7 +65,7 @@ PrecisionOption = Annotated[
 class MachineOptions:
     """Options on how a checkpoint is run on this machine."""
 
-    device: Annotated[str, machine(metavar="[auto|cpu|cuda|cuda:N]", help="Where to compute.")] = "auto"
+    device: Annotated[str, machine(metavar="[auto|cpu|cuda|cuda:N]", help="Device for computation.")] = "auto"
     backend: BackendOption = "torch"
     precision: PrecisionOption = "float32"
     min_size: Annotated[

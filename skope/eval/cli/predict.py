@@ -66,7 +66,7 @@ def predict(
     blur: Annotated[bool, output("--blur", help="Blur plates, glass and heads in the overlay.")] = False,
     out: Annotated[
         Path | None,
-        output(metavar=DIR_METAVAR, help="Where to write.", show_default=f"{PREDICTION_FOLDER}/ and the source's name"),
+        output(metavar=DIR_METAVAR, help="Output folder.", show_default=f"{PREDICTION_FOLDER}/ and the source's name"),
     ] = None,
     hardware: FastMachineOptions,
     console: Console,

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 FITTED_CHOICES = ("auto", "fit")
 _HIGHEST_M = 10_000.0
 
-OutOption = Annotated[Path, output(metavar=DIR_METAVAR, help="Where to write.")]
+OutOption = Annotated[Path, output(metavar=DIR_METAVAR, help="Output folder.")]
 CameraOption = Annotated[
     Path | None,
     data_option(

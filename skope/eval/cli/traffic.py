@@ -72,7 +72,7 @@ def traffic(
             show_default="none",
         ),
     ] = "",
-    out: Annotated[Path, output(metavar=DIR_METAVAR, help="Where to write.")] = TRAFFIC_FOLDER,
+    out: Annotated[Path, output(metavar=DIR_METAVAR, help="Output folder.")] = TRAFFIC_FOLDER,
     hardware: FastMachineOptions,
     console: Console,
 ) -> None:

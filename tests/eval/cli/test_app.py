@@ -114,7 +114,7 @@ def test_a_results_file_against_a_split_of_a_dataset(skope: Any, tmp_path: Path)
     common = ("eval", "--data", root, "--predictions", "none.json", "--split", "train")
     code, out, _ = skope(*common)
     assert code == 0
-    assert "No detection scores above 0.9 in train: there is none at all." in out
+    assert "No detection scores above 0.9 in train: there are no detections." in out
     assert out.splitlines()[-1] == "Wrote metrics.json, tallies.json, overlays/ to eval; open eval/report.html"
     before = files_of(tmp_path / "eval")
     code, _, err = skope(*common, "--max-images", 2)
@@ -255,7 +255,7 @@ def test_results_without_boxes_are_scored_by_the_extent_of_their_points(skope: A
         (("--max-images", "0"), "--max-images: expected a whole number from 1, got 0"),
         (("--checkpoint", "nowhere"), "nowhere: no such checkpoint"),
         (("--device", "abacus"), "abacus"),
-        (("--out", "results.json"), "--out: results.json is a file, expected a folder"),
+        (("--out", "results.json"), "--out: expected a folder, got the file results.json"),
         (("--predictions", "results.json"), "--predictions with a dataset needs exactly one --split"),
         (("--predictions", "results.json", "--checkpoint", "x"), "--predictions and --checkpoint cannot be combined"),
         (("--predictions", "results.json", "--boxes", "given"), "--predictions and --boxes given cannot be combined"),

@@ -103,7 +103,7 @@ def test_published_figures_follow_the_papers_protocol() -> None:
             {"unit": "10 s", "blocks": 1, "sites": 1},
             "none, as there are fewer than two blocks of 10 s of one recording",
         ),
-        ({"unit": "image", "blocks": 9, "sites": None}, "9 images; neighbouring frames"),
+        ({"unit": "image", "blocks": 9, "sites": None}, "9 images; the intervals are too narrow"),
     ],
 )
 def test_what_intervals_speak_for_is_said(intervals: dict[str, Any], words: str) -> None:

@@ -210,7 +210,7 @@ def test_frames_of_a_video_are_decoded_in_any_order(tmp_path: Path, monkeypatch:
 @pytest.mark.parametrize(
     ("found_at", "said"),
     [
-        (None, "frames.json: info.found_at: does not say where the images are; predict again"),
+        (None, "frames.json: info.found_at: expected the path of the images, found none; predict again"),
         ("../gone", "out/../gone: no such file or folder, but "),
     ],
 )
