@@ -32,12 +32,12 @@ if TYPE_CHECKING:
 
 EVALUATION_REPORT: Final = "report.html"
 OVERLAY_COUNT: Final = 4
-"""Number of pictures that are drawn of each split."""
+"""Number of overlay images per split."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvalJob:
-    """One evaluation. Either `checkpoint` or `predictions` is given."""
+    """Settings of one evaluation. Either `checkpoint` or `predictions` is given."""
 
     truth: GroundTruth
     out: Path
@@ -46,29 +46,30 @@ class EvalJob:
     checkpoint: Path | None
     predictions: Path | None
     settings: Settings
-    """Settings with which `checkpoint` is run."""
+    """Settings for running `checkpoint`."""
     fast: bool = False
-    """Carry only the detections that count through the keypoint head."""
+    """Whether to predict keypoints only for detections above the score threshold."""
     max_images: int | None = None
     scheme: str = keypoints.SCHEME
     """Keypoint scheme of the detector."""
     beside_paper: bool = False
-    """Print the published rows below ours."""
+    """Whether to print the published rows below ours."""
 
 
 def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
     """Evaluate a detector or its results, and write everything under `job.out`.
 
     Args:
-        job: What to evaluate, and how.
-        console: Where progress and the table are printed.
+        job: Inputs and settings of the evaluation.
+        console: Console for progress and the table.
         width: Width of the printed table, characters.
 
     Returns:
-        What `metrics.json` holds.
+        The content of `metrics.json`.
 
     Raises:
-        UserError: Images or boxes are missing, the output folder holds other work, or files are malformed.
+        UserError: Images or boxes are missing, the output folder has the output of another run, or files are
+            malformed.
     """
     splits = [read_inputs.limit(file, job.max_images) for file in job.truth.splits]
     for file in splits:
@@ -121,7 +122,7 @@ def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
 
 
 def _known(job: EvalJob, predictor: "Predictor | None", found: Mapping[str, Sequence[AnyResult]]) -> tuple[str, ...]:
-    """The categories that the detector has learnt; of others a results file says nothing where it holds none."""
+    """Return the categories that the detector has learnt. A results file without other road users has vehicles only."""
     if predictor is not None:
         return VEHICLE_ALONE if job.settings.given else predictor.categories
     others = any(isinstance(one, RoadUserResult) for results in found.values() for one in results)
@@ -129,7 +130,7 @@ def _known(job: EvalJob, predictor: "Predictor | None", found: Mapping[str, Sequ
 
 
 def _check_images(splits: Sequence[AnnotationFile], root: Path) -> None:
-    """Raise a UserError where images are missing, before hours are spent on the others."""
+    """Raise a UserError if images are missing. This is checked before a long prediction."""
     for file in splits:
         missing = [image.file_name for image in file.images if shards.size(root / image.file_name) < 0]
         if missing:
@@ -138,7 +139,7 @@ def _check_images(splits: Sequence[AnnotationFile], root: Path) -> None:
 
 
 def _predictor(job: EvalJob, console: Console) -> "Predictor":
-    """The checkpoint on its device, whose keypoints are those of the ground truth."""
+    """Load the checkpoint and check that its keypoint scheme is that of the ground truth."""
     from skope.detector.predictor import Predictor  # torch
 
     assert job.checkpoint is not None
@@ -152,7 +153,7 @@ def _predictor(job: EvalJob, console: Console) -> "Predictor":
 
 
 def _claim(job: EvalJob, predictor: "Predictor | None") -> dict[str, Any]:
-    """The output folder, taken for this evaluation; what `work.json` says of it."""
+    """Claim the output folder for this evaluation; return the content of `work.json`."""
     scored = [*([job.predictions] if job.predictions else []), *(predictor.files if predictor else ())]
     options = asdict(job.options) | {"scheme": job.scheme, "points": list(job.options.points)}
     settings = {name: getattr(job.settings, name) for name in ("given", "backend", "precision", "min_size")}
@@ -164,7 +165,7 @@ def _claim(job: EvalJob, predictor: "Predictor | None") -> dict[str, Any]:
 def _predicted(
     job: EvalJob, predictor: "Predictor", splits: Sequence[AnnotationFile]
 ) -> dict[str, tuple[AnyResult, ...]]:
-    """Run the detector on all splits; split name -> its results. Goes on after what a stopped run has found."""
+    """Run the detector on all splits; return split name -> results. A stopped run resumes."""
     out = {}
     for file in splits:
         path = job.out / f"predictions_{file.name}.json"
@@ -176,7 +177,7 @@ def _predicted(
         found = [coco.any_result_from_dict(row) for image in file.images for row in rows[image.id]]
         coco.write_results(path, found)
         progress.end()
-        # Results are read back from the file, which rounds them, so that scoring the file later gives the same figures.
+        # The file rounds results. They are read back from it so that scoring the file later gives the same figures.
         out[file.name] = tuple(coco.iter_all_results(path))
     return out
 
@@ -190,13 +191,13 @@ def _read(job: EvalJob, splits: Sequence[AnnotationFile]) -> dict[str, tuple[Any
 def _doubts(
     job: EvalJob, splits: Sequence[AnnotationFile], results: Mapping[str, Sequence[AnyResult]]
 ) -> Iterator[str]:
-    """Sentences on what was guessed of a results file, and on what in annotations cannot be right."""
+    """Yield warnings on guessed boxes of a results file, and on implausible annotations."""
     for found in results.values():
         unboxed = [result for result in apart(found)[0] if not result.boxed]
         if unboxed:
             yield (
                 f"{job.predictions}: {counted(len(unboxed), 'result')} without bbox, first for image "
-                f"{unboxed[0].image_id}: their boxes are taken as the extent of the keypoints with a score above 0"
+                f"{unboxed[0].image_id}: the extent of the keypoints with a score above 0 is used as their box"
             )
     for file in splits:
         known = [annotation for annotation in file.annotations if not annotation.ignored]
@@ -206,11 +207,14 @@ def _doubts(
         for wrong, what in ((empty, "a box without area"), (astray, "keypoints called visible far outside of the box")):
             if wrong:
                 count = counted(len(wrong), "vehicle")
-                yield f"split {file.name}: {count} with {what}, which nobody can find; first: annotation {wrong[0].id}"
+                yield (
+                    f"split {file.name}: {count} with {what}, which no detector can find; first: "
+                    f"annotation {wrong[0].id}"
+                )
 
 
 def _overlays(job: EvalJob, file: AnnotationFile, results: Sequence[AnyResult], console: Console) -> list[Path]:
-    """Draw a few images with ground truth and predictions beside each other; those whose file is there."""
+    """Draw a few images with ground truth and predictions side by side; missing image files are skipped."""
     few = take(file, OVERLAY_COUNT)
     truth, users = few.by_image(), few.road_users_by_image()
     written = []
@@ -238,26 +242,26 @@ def _overlays(job: EvalJob, file: AnnotationFile, results: Sequence[AnyResult], 
 
 
 def _advice(job: EvalJob, entries: Mapping[str, Any], results: Mapping[str, Sequence[Result]]) -> list[str]:
-    """Advice on splits in which nothing scored high enough to count."""
+    """Return advice on splits without counted detections."""
     silent = [name for name, split in entries.items() if split["ground_truth"] and not split["detections"]]
     if not silent:
         return []
     highest = max((r.score for name in silent for r in results[name]), default=None)
-    seen = "there is none at all" if highest is None else f"the highest score is {highest:.3f}"
+    seen = "there are no detections" if highest is None else f"the highest score is {highest:.3f}"
     lines = ["", f"No detection scores above {job.options.score:g} in {', '.join(silent)}: {seen}."]
     if job.checkpoint:
         lines.append(
-            "What helps: longer training (`skope train --epochs N --resume`), `--recipe scratch` where training starts "
-            "from random weights, `--init coco` to start from weights trained on COCO, and more images."
+            "Possible remedies: longer training (`skope train --epochs N --resume`), `--recipe scratch` if training "
+            "starts from random weights, `--init coco` to start from weights trained on COCO, and more images."
         )
     if highest:
         lower = f"--score {_below(highest):g} --out {job.out}_{_below(highest):g}"
-        lines.append(f"To see what there is: `skope eval {lower}`. AP counts all detections.")
+        lines.append(f"To count weaker detections: `skope eval {lower}`. AP includes all detections.")
     return lines
 
 
 def _below(score: float) -> float:
-    """A round threshold that lets through what scores best."""
+    """Return the highest round threshold below the best score."""
     return next((t for t in (0.7, 0.5, 0.3, 0.1) if t < score), 0.0)
 
 

@@ -1,1 +1,1 @@
-"""Metrics of detections and keypoints against ground truth; they need NumPy, and SciPy where they say intervals."""
+"""Metrics of detections and keypoints against ground truth; they need NumPy, and SciPy for intervals."""

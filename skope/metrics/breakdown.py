@@ -1,6 +1,6 @@
-"""Recall and PCK of parts of the vehicles: by distance, size, type, weather and so on, and keypoint by keypoint.
+"""Recall and PCK of groups of vehicles: by distance, size, type, weather and so on, and by keypoint.
 
-A false detection belongs to no distance or type, so that the parts have recall and PCK and no precision.
+A false detection has no distance or type, so the groups have recall and PCK but no precision.
 """
 
 import itertools
@@ -27,12 +27,12 @@ class BreakdownBands:
     heights_px: tuple[float, float, float, float] = (25.0, 50.0, 100.0, 200.0)
     """Heights of boxes, pixels."""
     occlusions: tuple[float, float] = (0.1, 0.4)
-    """Hidden shares."""
+    """Hidden fractions of a vehicle, 0 to 1."""
     truncations: tuple[float, float] = (0.1, 0.4)
-    """Truncated shares."""
-    # Bounds of the part that the paper reports by itself: vehicles that nothing hides, within 40 m.
+    """Truncated fractions of a vehicle, 0 to 1."""
+    # Bounds of a group that the paper reports separately: unoccluded vehicles within 40 m.
     unoccluded: float = 0.01
-    """Hidden share below which a vehicle is unoccluded."""
+    """Hidden fraction below which a vehicle is unoccluded."""
     near_m: float = 40.0
     """Distance of near vehicles, metres."""
 
@@ -42,25 +42,25 @@ BREAKDOWN_BANDS: Final = BreakdownBands()
 
 @dataclass(frozen=True, kw_only=True)
 class FleetInfo:
-    """Vehicle models of a dataset, by its card; empty where there is no card."""
+    """Vehicle models of a dataset, from its card; empty if there is no card."""
 
     held_out: Collection[str] | None = None
-    """Models that no training image shows; None where the card does not say."""
+    """Models that no training image shows; None if the card does not list them."""
     substituted: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    """Model -> names of the keypoints that stand for a part that its body lacks."""
+    """Model -> names of the keypoints that replace a part that its body lacks."""
 
 
 def breakdown(images: Sequence[Image], matches: Matches, options: MetricOptions, fleet: FleetInfo) -> dict[str, Any]:
-    """Measure parts of the vehicles, and each keypoint.
+    """Return the figures of groups of vehicles, and of each keypoint.
 
     Args:
         images: The images of the split, in the order of the file.
         matches: The split's ground truth and detections.
-        options: What counts, and at which IoU thresholds.
-        fleet: What the dataset's card says of the vehicle models.
+        options: The counting rules and IoU thresholds.
+        fleet: Vehicle models from the dataset's card.
 
     Returns:
-        The entry `by` of a split in `metrics.json`: quantity -> part -> IoU threshold -> counts and ratios.
+        The entry `by` of a split in `metrics.json`: quantity -> group -> IoU threshold -> counts and ratios.
     """
     outcomes = {t: outcomes_at(matches, t, options) for t in options.iou}
     parts = _parts(images, matches, fleet)
@@ -116,13 +116,13 @@ def _unseen(vehicle: Annotation, fleet: FleetInfo) -> bool | None:
 
 
 def band_names(edges: Sequence[float], last: str | None = None) -> list[str]:
-    """Names of the bands from 0 over `edges`, as in "0-20"; the one from the last edge on ends with `last`."""
+    """Return the names of the bands from 0 over `edges`, like "0-20"; the last band ends with `last`."""
     inner = [f"{low:g}-{high:g}" for low, high in itertools.pairwise((0.0, *edges))]
     return [*inner, f"{edges[-1]:g}-{last}" if last else f"{edges[-1]:g}+"]
 
 
 def _by_band(values: Sequence[float | None], edges: Sequence[float], last: str | None = None) -> dict[str, Mask]:
-    """Masks of [0, e0), [e0, e1), ... and from the last edge on; those without a vehicle are left out."""
+    """Return masks of [0, e0), [e0, e1), ... and from the last edge on, without empty bands."""
     numbers = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
     bounds = itertools.pairwise((0.0, *edges, np.inf))
     names = band_names(edges, last)
@@ -149,7 +149,7 @@ def _vehicle_figures(outcomes: Outcomes, part: Mask, alpha: float) -> dict[str, 
 
 
 def _point_figures(outcomes: Outcomes, part: Mask, alpha: float) -> dict[str, Any]:
-    """Counts and ratios of the keypoints in `part`, a mask that broadcasts to (G, 33)."""
+    """Return counts and ratios of the keypoints in `part`, a mask that broadcasts to (G, 33)."""
     labelled_all = int((outcomes.labelled & part).sum())
     labelled = int((outcomes.labelled & part)[outcomes.found].sum())
     correct = int((outcomes.correct(alpha) & part).sum())
@@ -169,7 +169,7 @@ def _column(matches: Matches, k: int) -> Mask:
 
 
 def _substituted(vehicles: Sequence[Annotation], fleet: FleetInfo) -> Mask:
-    """(G, 33) keypoints that stand for a part that the vehicle's body lacks."""
+    """Return the (G, 33) mask of keypoints that replace a part that the vehicle's body lacks."""
     mask = np.zeros((len(vehicles), keypoints.K), dtype=bool)
     for i, vehicle in enumerate(vehicles):
         mask[i, [keypoints.INDEX[name] for name in fleet.substituted.get(vehicle.model or "", ())]] = True

@@ -1,4 +1,4 @@
-"""COCO average precision of boxes and keypoints (object keypoint similarity), through pycocotools."""
+"""COCO average precision of boxes and keypoints (object keypoint similarity), computed by pycocotools."""
 
 import contextlib
 import io
@@ -14,9 +14,10 @@ from skope.metrics.match import box_of
 from skope.schema import Annotation, AnnotationFile, Found, Labelled, Result
 
 AP_DETECTIONS: Final = 300
-"""Detections an image that count; pycocotools' own default for keypoints, 20, is fewer than a queue has vehicles."""
+"""Maximum number of counted detections per image. The default of pycocotools for keypoints, 20, is too low for a
+queue."""
 NO_PRECISION: Final = dict.fromkeys(("box_ap", "box_ap50", "keypoint_ap", "keypoint_ap50"))
-"""Figures where results leave out what scores low: AP of those would mean nothing."""
+"""Figures of results without low scores, for which AP is not meaningful."""
 _WHATEVER_SIZE: Final = {"all": (0.0, 1e10)}
 
 CocoRow: TypeAlias = dict[str, Any]
@@ -25,15 +26,15 @@ CocoRow: TypeAlias = dict[str, Any]
 def average_precision(
     file: AnnotationFile, results: Sequence[Result], options: MetricOptions
 ) -> dict[str, float | None]:
-    """COCO's average precision of boxes (by IoU) and of keypoints (by object keypoint similarity).
+    """Return COCO's average precision of boxes (by IoU) and of keypoints (by object keypoint similarity).
 
-    An ignored vehicle is a COCO crowd region: a detection on it is neither right nor wrong. To the keypoint figures a
-    vehicle without a labelled keypoint is one too.
+    An ignored vehicle is a COCO crowd region: a detection on it is neither right nor wrong. For the keypoint figures
+    the same applies to a vehicle without a labelled keypoint.
 
     Args:
         file: The ground truth of a split.
-        results: All detections, whatever they score; `AP_DETECTIONS` an image count.
-        options: Only labelled, boxes, points and scheme play a part.
+        results: All detections, of any score. At most `AP_DETECTIONS` per image count.
+        options: Only labelled, boxes, points and scheme are used.
 
     Returns:
         "box_ap" and "keypoint_ap", means over thresholds from 0.50 to 0.95, and "box_ap50" and "keypoint_ap50", at
@@ -67,7 +68,7 @@ def _result_row(number: int, result: Result) -> dict[str, Any]:
 
 
 def truth_box(label: Labelled, kind: str) -> CocoRow:
-    """A label's box of `kind` (see `match.BOX_KINDS`) as pycocotools takes it, all as of one category."""
+    """Return a label's box of `kind` (see `match.BOX_KINDS`) in the format of pycocotools, in a common category."""
     box = box_of(label, kind)
     area = label.area_full if label.area_full is not None else label.area
     return {
@@ -82,7 +83,7 @@ def truth_box(label: Labelled, kind: str) -> CocoRow:
 
 
 def found_box(number: int, result: Found) -> CocoRow:
-    """The box of a result of some `number` from 1 as pycocotools takes it, all as of one category."""
+    """Return the box of a result with a `number` from 1 in the format of pycocotools, in a common category."""
     x, y, width, height = result.bbox.tolist()
     width, height = max(width, 0.0), max(height, 0.0)
     return {
@@ -104,15 +105,15 @@ def evaluated(
     areas: Mapping[str, Sequence[float]],
     sigmas: Sequence[float] = (),
 ) -> Any:
-    """pycocotools' COCOeval of one category, evaluated and accumulated.
+    """Return pycocotools' COCOeval of one category, evaluated and accumulated.
 
     Args:
         images: Rows with "id", "width" and "height".
-        truth: Rows of the ground truth, as of `truth_box`.
-        found: Rows of results, as of `found_box`.
+        truth: Rows of the ground truth, as from `truth_box`.
+        found: Rows of results, as from `found_box`.
         kind: "bbox" or "keypoints".
-        areas: Least and largest area of each range of sizes by its name, square pixels.
-        sigmas: Of the keypoints.
+        areas: Smallest and largest area of each range of sizes by name, square pixels.
+        sigmas: Standard deviations of the keypoints, for object keypoint similarity.
     """
     from pycocotools.cocoeval import COCOeval
 

@@ -1,7 +1,7 @@
-"""Failures by kind: vehicles missed and false, and keypoints on the wrong side, at the wrong end or just off.
+"""Failures by kind: missed vehicles, false positives, and keypoints on the wrong side, at the wrong end or displaced.
 
-The kinds follow Ronchi and Perona ("Benchmarking and Error Diagnosis in Multi-Instance Pose Estimation", 2017), with a
-vehicle's two symmetries in the place of a person's one.
+The kinds follow Ronchi and Perona ("Benchmarking and Error Diagnosis in Multi-Instance Pose Estimation", 2017). A
+vehicle has two symmetries, a person has one.
 """
 
 from typing import Any, Final
@@ -15,31 +15,31 @@ from skope.metrics.match import Matches
 from skope.types import Array, Integers
 
 ERROR_KINDS: Final = ("left_right", "front_rear", "jitter")
-"""Kinds of wrong keypoints: where the other side's counterpart is, where the other end's is (of either side), and
-anywhere else."""
+"""Kinds of wrong keypoints: at the counterpart on the other side, at a counterpart at the other end (of either side),
+or anywhere else."""
 NOT_WRONG: Final = -1
-"""Stands in place of a kind for a keypoint that is not wrong."""
+"""Value instead of an index in `ERROR_KINDS` for a keypoint that is not wrong."""
 LEFT_RIGHT, FRONT_REAR, JITTER = range(len(ERROR_KINDS))
 
 
 def wrong_points(matches: Matches, outcomes: Outcomes, options: MetricOptions) -> Integers:
-    """Tell the kinds of wrong keypoints.
+    """Classify wrong keypoints.
 
-    A keypoint is wrong when it is labelled and farther than alpha L from its place. It is swapped when it lies within
-    alpha L of a counterpart whose place is known (v > 0); of several, the nearest names the kind.
+    A keypoint is wrong if it is labelled and more than alpha L from its true position. It is swapped if it is within
+    alpha L of a labelled counterpart (v > 0). If there are several, the nearest counterpart decides.
 
     Args:
-        matches: Vehicles and detections, matched.
-        outcomes: Who was taken by which detection, at one IoU.
-        options: What counts, and alpha.
+        matches: Matched vehicles and detections.
+        outcomes: Outcomes of the vehicles at one IoU threshold.
+        options: The counting rules, with alpha.
 
     Returns:
-        (G, 33) index in `ERROR_KINDS` of each wrong keypoint; -1: right, unlabelled, not predicted or not found.
+        (G, 33) index in `ERROR_KINDS` of each wrong keypoint; -1: correct, unlabelled, not predicted or not found.
     """
     kinds = np.full(outcomes.labelled.shape, NOT_WRONG, dtype=np.int64)
     wrong = outcomes.labelled & outcomes.predicted & ~outcomes.correct(options.alpha)
     kinds[wrong] = JITTER
-    if options.scheme.name != keypoints.SCHEME:  # which keypoints are counterparts is known of skope33 alone
+    if options.scheme.name != keypoints.SCHEME:  # counterparts are defined only for skope33
         return kinds
     side = _apart(matches, outcomes, FLIP)
     ends = np.minimum(_apart(matches, outcomes, OTHER_END), _apart(matches, outcomes, [FLIP[k] for k in OTHER_END]))
@@ -50,7 +50,7 @@ def wrong_points(matches: Matches, outcomes: Outcomes, options: MetricOptions) -
 
 
 def _apart(matches: Matches, outcomes: Outcomes, counterpart: Any) -> Array:
-    """(G, 33) pixels from each prediction to its counterpart's place, infinite where there is none."""
+    """Return (G, 33) distances from each prediction to its counterpart, pixels; infinite if there is none."""
     counterpart = np.asarray(counterpart)
     truth = matches.gt_keypoints[:, counterpart]
     out = np.full(outcomes.labelled.shape, np.inf)
@@ -61,12 +61,12 @@ def _apart(matches: Matches, outcomes: Outcomes, counterpart: Any) -> Array:
 
 
 def failure_counts(matches: Matches, outcomes: Outcomes, options: MetricOptions) -> dict[str, int]:
-    """Count what went wrong at one IoU threshold.
+    """Count failures at one IoU threshold.
 
     Args:
         matches: A split's ground truth and detections.
-        outcomes: What became of each vehicle at the threshold.
-        options: What counts, and how near a keypoint must be.
+        outcomes: Outcomes of the vehicles at the threshold.
+        options: The counting rules.
 
     Returns:
         The entry of `failures` in `metrics.json`: vehicles "missed", detections "false", and wrong keypoints by kind.
@@ -80,7 +80,7 @@ def failure_counts(matches: Matches, outcomes: Outcomes, options: MetricOptions)
 
 
 def false_detections(matches: Matches, outcomes: Outcomes) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """(D,) detections that took no vehicle and lie on no ignored one."""
+    """Return (D,) whether a detection matched no vehicle and is not on an ignored vehicle."""
     false = ~matches.det_on_ignored
     false[outcomes.detection[outcomes.found]] = False
     return false

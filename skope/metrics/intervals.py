@@ -1,10 +1,11 @@
-"""95% intervals for every figure, from how much it differs between the recordings or sites that it was measured on.
+"""95% intervals for every figure, from its variation between the recordings or sites of a split.
 
-Frames half a second apart show the same vehicles in nearly the same places, and all frames of a recording share its
-weather, its light and its camera: none of them is evidence of its own. What counts as one piece of evidence is a site
-where a split has three or more, else a recording, else ten seconds of the only recording. A figure's standard error is
-that of the jackknife that leaves out one of them at a time, and Student's t with one degree of freedom less than there
-are pieces makes up for their small number (MacKinnon, Nielsen and Webb, 2023, on few clusters).
+Frames half a second apart show the same vehicles in nearly the same positions. All frames of a recording share its
+weather, light and camera. Frames are therefore not independent evidence; blocks of frames are.
+
+A block is a site if a split has at least three sites, else a recording, else ten seconds of a single recording. The
+standard error of a figure is that of the jackknife, which leaves out one block at a time. The interval uses Student's t
+with one degree of freedom less than there are blocks (MacKinnon, Nielsen and Webb, 2023, on few clusters).
 """
 
 import math
@@ -24,9 +25,9 @@ class IntervalRules:
     """Blocks and level of the intervals."""
 
     block_s: float = 10.0
-    """Length of a block of the only recording, seconds."""
+    """Length of a block of a single recording, seconds."""
     enough_sites: int = 3
-    """Number of sites from which sites are the blocks."""
+    """Minimum number of sites for blocks to be sites."""
     level: float = 0.95
     """Nominal coverage of an interval."""
 
@@ -39,14 +40,14 @@ Interval = tuple[float, float] | None
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Blocks:
-    """Groups of images of a split, each one piece of evidence."""
+    """Groups of images of a split that count as independent."""
 
     unit: str
     """Kind of the blocks: "site", "recording", "10 s" or "image"."""
     number: Integers
-    """(N,) block of each image, counted from 0."""
+    """(N,) block of each image, from 0."""
     sites: int | None
-    """Sites of the split, None where the file does not name them."""
+    """Number of sites of the split; None if the file does not name them."""
 
     @property
     def count(self) -> int:
@@ -54,13 +55,16 @@ class Blocks:
         return int(self.number.max(initial=-1)) + 1
 
     def to_dict(self) -> dict[str, Any]:
-        """Basis of the intervals, as `metrics.json` says it."""
+        """Return the description of the blocks for `metrics.json`."""
         return {"unit": self.unit, "blocks": self.count, "sites": self.sites, "level": INTERVAL_RULES.level}
 
 
 def blocks_of(images: Sequence[Image]) -> Blocks:
-    """The blocks of a split: its sites where there are three or more, else recordings, else 10 s each of the only
-    recording, else single images."""
+    """Return the blocks of a split.
+
+    Blocks are sites if there are at least three, else recordings if there are several, else 10 s each of a single
+    recording, else single images.
+    """
     site_names = [image.site for image in images if image.site is not None]
     sites = len(set(site_names)) if images and len(site_names) == len(images) else None
     recordings = {(image.site, image.recording) for image in images if image.recording is not None}
@@ -79,7 +83,10 @@ def blocks_of(images: Sequence[Image]) -> Blocks:
 
 
 def left_out(values: Quotients, blocks: Blocks) -> dict[Name, Array]:
-    """(B,) each figure with one of the B blocks left out; NaN if the block, or the rest, has no denominator."""
+    """Return (B,) values of each figure with one of the B blocks left out.
+
+    A value is NaN if the denominator of the block, or of the rest, is 0.
+    """
     out = {}
     for name, columns in values.items():
         tops, bottoms = (np.bincount(blocks.number, weights=column, minlength=blocks.count) for column in columns)
@@ -89,10 +96,12 @@ def left_out(values: Quotients, blocks: Blocks) -> dict[Name, Array]:
 
 
 def jackknife_error(without: Array) -> tuple[float, int]:
-    """A figure's standard error by the jackknife, and the degrees of freedom.
+    """Return the jackknife standard error of a figure, and its degrees of freedom.
 
-    `without` (B,) are the figure's values without one block each, NaN where a block says nothing of it. The formula is
-    Tukey's: (n - 1) / n times the sum of squared deviations from their mean.
+    The squared error is Tukey's: (n - 1) / n times the sum of squared deviations from the mean.
+
+    Args:
+        without: (B,) values of the figure with one block left out; NaN for a block without data.
     """
     values = without[~np.isnan(without)]
     count = len(values)
@@ -101,10 +110,15 @@ def jackknife_error(without: Array) -> tuple[float, int]:
 
 
 def share_interval(value: float | None, without: Array) -> Interval:
-    """Interval of a share from (B,) its values with one block left out each, worked out in log odds.
+    """Return the interval of a share, computed in log odds.
 
-    None where fewer than two blocks say something, and for exactly 0 or 1: where nothing was ever wrong, the data do
-    not say how seldom it is.
+    Args:
+        value: The share; None if not available.
+        without: (B,) values of the share with one block left out.
+
+    Returns:
+        Low and high. None with fewer than two blocks with data, and for a share of exactly 0 or 1, for which the data
+        give no bound.
     """
     error, freedom = jackknife_error(without)
     if value is None or freedom < 1 or not 0 < value < 1:
@@ -116,21 +130,21 @@ def share_interval(value: float | None, without: Array) -> Interval:
 
 
 def t_quantile(freedom: int) -> float:
-    """Bound of |t| with probability `INTERVAL_RULES.level`, for Student's t with `freedom` degrees of freedom."""
-    from scipy.special import stdtrit  # only what says intervals waits for it
+    """Return the bound of |t| with probability `INTERVAL_RULES.level`, for `freedom` degrees of freedom."""
+    from scipy.special import stdtrit  # imported here because only intervals need it
 
     return float(stdtrit(freedom, (1 + INTERVAL_RULES.level) / 2))
 
 
 def intervals(values: Quotients, blocks: Blocks) -> dict[str, Any]:
-    """95% intervals of all figures, from the jackknife over blocks.
+    """Return 95% intervals of all figures, from the jackknife over blocks.
 
     Args:
-        values: Figure -> (N,) numerators and (N,) denominators of the images, as `counts.quotients` gives them.
-        blocks: Which images are one piece of evidence.
+        values: Figure -> (N,) numerators and (N,) denominators of the images, as from `outcome_counts.quotients`.
+        blocks: The blocks of the images.
 
     Returns:
-        For each figure [low, high], or None where the data tell no interval, laid out as in `metrics.json`.
+        [low, high] of each figure, or None if there is no interval, in the layout of `metrics.json`.
     """
     without = left_out(values, blocks)
     found = {name: share_interval(_whole(columns), without[name]) for name, columns in values.items()}
@@ -138,16 +152,16 @@ def intervals(values: Quotients, blocks: Blocks) -> dict[str, Any]:
 
 
 def difference(a: Quotients, b: Quotients, blocks: Blocks, name: Name) -> Interval:
-    """95% interval of the difference b - a of a figure, paired: the same block is left out of both.
+    """Return the 95% interval of the difference b - a of a figure, paired: the same block is left out of both.
 
     Args:
         a: Numerators and denominators of the first detector's figures.
-        b: Those of the second detector's figures, over the same images.
-        blocks: Which images are one piece of evidence.
+        b: Numerators and denominators of the second detector's figures, over the same images.
+        blocks: The blocks of the images.
         name: The figure.
 
     Returns:
-        Low and high; None where the data tell no interval.
+        Low and high; None if there is no interval.
     """
     ours, theirs = _whole(a[name]), _whole(b[name])
     gaps = left_out({name: b[name]}, blocks)[name] - left_out({name: a[name]}, blocks)[name]
@@ -159,5 +173,5 @@ def difference(a: Quotients, b: Quotients, blocks: Blocks, name: Name) -> Interv
 
 
 def _whole(columns: tuple[Array, Array]) -> float | None:
-    """A figure over all images, from its numerators and denominators; None where there is nothing to divide by."""
+    """Return a figure over all images, from its numerators and denominators; None if the denominator is 0."""
     return ratio(*(float(column.sum()) for column in columns))

@@ -1,4 +1,4 @@
-"""Fate of each vehicle of a split: by which detection it was found, and which of its keypoints are right."""
+"""Outcome of each vehicle of a split: the detection that found it, and the correctness of its keypoints."""
 
 import math
 from dataclasses import dataclass
@@ -20,22 +20,22 @@ LABELLED_CHOICES: Final = ("visible", "all")
 
 @dataclass(frozen=True, kw_only=True)
 class MetricOptions:
-    """Rules on what counts as a detection, a labelled keypoint, a predicted one and a correct one."""
+    """Rules for counting detections and labelled, predicted and correct keypoints."""
 
     score: float = PAPER_THRESHOLDS.score
-    """A detection counts when it scores above this."""
+    """Score above which a detection counts, 0 to 1."""
     alpha: float = PAPER_THRESHOLDS.alpha
-    """A keypoint is correct within alpha times the longer edge of the ground-truth box."""
+    """Maximum error of a correct keypoint, as a share of the longer edge of the ground-truth box."""
     labelled: str = "visible"
-    """Keypoints of the ground truth that count, one of `LABELLED_CHOICES`."""
+    """Ground-truth keypoints that count, one of `LABELLED_CHOICES`."""
     boxes: str = "full"
     """Boxes of the ground truth that detections are matched to, one of `BOX_KINDS`."""
     iou: tuple[float, ...] = PAPER_THRESHOLDS.iou
-    """Thresholds at which detections match, in the order in which they are reported."""
+    """IoU thresholds for matching, in the order in which they are reported."""
     keypoint_score: float = 0.0
-    """A keypoint counts as predicted when it scores above this; 0 takes all, as the paper does."""
+    """Score above which a keypoint counts as predicted. 0 counts all keypoints, as in the paper."""
     points: tuple[int, ...] = tuple(range(keypoints.K))
-    """The keypoints that are scored: all, or those that another scheme shares."""
+    """Indices of the evaluated keypoints: all, or those in common with another scheme."""
     scheme: Scheme = keypoints.SKOPE33
     """Keypoint scheme of the ground truth."""
 
@@ -55,57 +55,59 @@ class MetricOptions:
 
     @property
     def loosest(self) -> float:
-        """The threshold at which most vehicles match, for what is reported at one only."""
+        """Lowest IoU threshold, for figures that are reported at one threshold only."""
         return min(self.iou)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcomes:
-    """Outcomes of the G vehicles of a split at one IoU threshold: which detection took each, and its errors."""
+    """Outcomes of the G vehicles of a split at one IoU threshold: matched detections and keypoint errors."""
 
     detection: Integers
     """(G,) index of the detection in `Matches`, -1 for none."""
     labelled: Mask
-    """(G, 33) keypoints that are labelled, as `MetricOptions.labelled` says."""
+    """(G, 33) keypoints that are labelled, by the rule `MetricOptions.labelled`."""
     predicted: Mask
     """(G, 33) keypoints that the detection predicts."""
     offset: Array
-    """(G, 33) pixels from the prediction to the ground truth, infinite where no detection took the vehicle."""
+    """(G, 33) distances from the prediction to the ground truth, pixels; infinite for vehicles that were not found."""
     length: Array
     """(G,) longer edge of the ground-truth box, pixels."""
 
     @property
     def found(self) -> Mask:
-        """(G,) whether a detection took the vehicle."""
+        """(G,) whether a detection matched the vehicle."""
         return self.detection >= 0
 
     def correct(self, alpha: float) -> Mask:
-        """(G, 33) labelled, predicted and within `alpha` times the length."""
+        """Return (G, 33) whether a keypoint is labelled, predicted and within `alpha` times the length."""
         return self.labelled & self.predicted & (self.offset <= alpha * self.length[:, None])
 
 
 def predicted_keypoints(matches: Matches, options: MetricOptions) -> Mask:
-    """(D, 33) which keypoints of each detection count as predicted."""
+    """Return (D, 33) whether each keypoint of each detection counts as predicted."""
     mask = np.zeros((len(matches.det_image), keypoints.K), dtype=bool)
     mask[:, list(options.points)] = True
     return mask & (matches.det_keypoints[:, :, 2] > options.keypoint_score) if options.keypoint_score else mask
 
 
 def lengths(vectors: Array) -> Array:
-    """(...,) Euclidean lengths of (..., 2) vectors of pixels: several times faster than hypot, which takes care that
-    no square overflows; here such a length is infinite, and as wrong as it was.
+    """Return (...,) Euclidean lengths of (..., 2) vectors of pixels.
+
+    This is several times faster than hypot, which avoids overflow of squares. Here such a length becomes infinite, and
+    the keypoint is wrong in either case.
     """
     with np.errstate(over="ignore"):
         return np.asarray(np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2))
 
 
 def outcomes_at(matches: Matches, threshold: float, options: MetricOptions) -> Outcomes:
-    """Compare each vehicle with the detection that took it.
+    """Compare each vehicle with its matched detection.
 
     Args:
-        matches: Vehicles and detections, matched.
+        matches: Matched vehicles and detections.
         threshold: The IoU threshold, one of `matches.taken`.
-        options: What counts, and when a keypoint is correct.
+        options: The counting rules.
     """
     taken = matches.taken[threshold]
     matched = np.flatnonzero(taken >= 0)

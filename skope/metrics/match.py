@@ -17,19 +17,19 @@ from skope.schema import Annotation, AnnotationFile, Labelled, Result
 from skope.types import Array, Integers, Mask
 
 BOX_KINDS: Final = ("full", "visible")
-"""Boxes of a vehicle that a detection may have to meet: the whole silhouette's, or that of its visible pixels."""
+"""Kinds of ground-truth boxes for matching: of the whole silhouette, or of its visible pixels."""
 
 
 _PAIRS_AT_ONCE: Final = 1 << 20
-"""Pairs of boxes that are compared at once, so that memory stays small."""
+"""Number of pairs of boxes that are compared at once. It bounds memory."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Matches:
-    """A split's ground truth (G vehicles), the detections that count (D), and which detection took which vehicle.
+    """Ground truth of a split (G vehicles), the counted detections (D), and the matches between them.
 
-    Images are numbered by their place in the file. Ground truth lies in order of image and id, detections in order of
-    image, falling score and place in the results file.
+    Images are numbered by their order in the file. Ground truth is ordered by image and id. Detections are ordered by
+    image, decreasing score and order in the results file.
     """
 
     images: int
@@ -39,13 +39,13 @@ class Matches:
     vehicles: tuple[Annotation, ...]
     """The G ground-truth vehicles."""
     gt_image: Integers
-    """(G,) number of the image that shows the vehicle."""
+    """(G,) number of the image of each vehicle."""
     gt_boxes_xyxy: Array
-    """(G, 4) boxes of the asked kind, pixels."""
+    """(G, 4) boxes of the requested kind, pixels."""
     gt_keypoints: Array
     """(G, 33, 3) x, y, v."""
     det_image: Integers
-    """(D,) number of the image that the detection is in."""
+    """(D,) number of the image of each detection."""
     det_result: Integers
     """(D,) index in the results."""
     det_score: Array
@@ -53,16 +53,20 @@ class Matches:
     det_keypoints: Array
     """(D, 33, 3) x, y, score."""
     det_on_ignored: Mask
-    """(D,) whether the detection lies to half of its area or more inside the box of one ignored vehicle."""
+    """(D,) whether at least half of the detection's area is inside the box of one ignored vehicle."""
     taken: Mapping[float, Integers]
-    """IoU threshold -> (D,) the ground-truth vehicle that each detection took, -1 for none."""
+    """IoU threshold -> (D,) index of the ground-truth vehicle that each detection matched, -1 for none."""
 
 
 def box_of(annotation: Labelled, kind: str) -> Array:
-    """(4,) x, y, width, height of the box of `kind` "full" or "visible"; a UserError where it is not annotated."""
+    """Return (4,) x, y, width, height of the box of `kind` "full" or "visible".
+
+    Raises:
+        UserError: The annotation has no such box.
+    """
     box = annotation.bbox_visible if kind == "visible" else annotation.bbox
     if box is None:
-        raise UserError(f"annotation {annotation.id}: field bbox_visible is missing, which --boxes visible needs")
+        raise UserError(f"annotation {annotation.id}: field bbox_visible is missing; --boxes visible needs it")
     return box
 
 
@@ -76,21 +80,21 @@ def match(
 ) -> Matches:
     """Match detections to ground-truth vehicles, image by image and greedily.
 
-    In order of falling scores (ties: file order) each detection takes the free ground-truth box of highest IoU (ties:
-    lowest id), if that IoU reaches the threshold.
+    In order of decreasing scores (ties: file order), each detection is matched to the free ground-truth box of highest
+    IoU (ties: lowest id), if that IoU reaches the threshold.
 
     Args:
         file: The ground truth of a split.
         results: Detections, each in an image of `file`.
-        score: Detections count that score above this.
-        boxes: Which boxes of the ground truth are matched to, one of `BOX_KINDS`.
-        thresholds: IoU thresholds; the matching is made anew for each.
+        score: Score above which detections count.
+        boxes: Kind of ground-truth boxes for matching, one of `BOX_KINDS`.
+        thresholds: IoU thresholds. Matching is repeated for each of them.
 
     Returns:
-        Ground truth, detections and, for each threshold, which detection took which vehicle.
+        Ground truth, detections and, for each threshold, the matches.
 
     Raises:
-        UserError: `boxes` is no such kind, or a vehicle lacks its box of that kind.
+        UserError: `boxes` is not one of `BOX_KINDS`, or a vehicle has no box of that kind.
     """
     one_of("--boxes", boxes, BOX_KINDS)
     number = {image.id: i for i, image in enumerate(file.images)}
@@ -146,16 +150,16 @@ def _pairs(
     *,
     least: float,
 ) -> tuple[Integers, Integers, Array]:
-    """Indices (P,), (P,) and values (P,) of the pairs of one image whose measure is at least `least`.
+    """Return indices (P,), (P,) and values (P,) of the pairs in the same image with a measure of at least `least`.
 
-    The columns of image numbers are sorted, so that the boxes of `b` that share an image with one of `a` are a range.
+    Image numbers are sorted, so the boxes of `b` in the image of a box of `a` are a contiguous range.
     """
     first = np.searchsorted(b_image, a_image, side="left")
     counts = np.searchsorted(b_image, a_image, side="right") - first
     ends = np.cumsum(counts)
     rows, columns, values = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0)]
     start = 0
-    while start < len(a_image):  # in parts, so that memory stays small
+    while start < len(a_image):  # in parts, to bound memory
         begun = ends[start] - counts[start]
         stop = max(start + 1, int(np.searchsorted(ends, begun + _PAIRS_AT_ONCE, side="right")))
         n = counts[start:stop]
@@ -171,10 +175,10 @@ def _pairs(
 
 
 def _greedy(detections: int, truths: int, det: Integers, gt: Integers, iou: Array, threshold: float) -> Integers:
-    """(D,) ground truth taken by each detection, -1 for none, from the pairs that overlap."""
+    """Return (D,) the ground truth matched by each detection, -1 for none, from the pairs that overlap."""
     taken, free = [-1] * detections, [True] * truths
-    # Detections stand in the order in which they choose, ground truth by id: sorting the pairs by detection, falling
-    # IoU and ground truth lists each one's choices from its best, ties to the lowest id.
+    # Detections are in order of choice and ground truth in order of id. Sorting the pairs by detection, decreasing IoU
+    # and ground truth lists the choices of each detection, best first, ties by lowest id.
     enough = np.flatnonzero(iou >= threshold)
     order = enough[np.lexsort((gt[enough], -iou[enough], det[enough]))]
     for d, g in zip(det[order].tolist(), gt[order].tolist(), strict=True):

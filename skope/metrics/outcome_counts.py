@@ -1,8 +1,8 @@
-"""Counts of each image, of whose sums every figure is a quotient.
+"""Counts per image. Every figure is a quotient of sums of these counts.
 
-A figure is the sum of a numerator over images divided by that of a denominator, in both protocols (the paper's mean of
-per-image ratios sums ratios over the images that have ground truth), so that leaving images out, as intervals do, takes
-a subtraction.
+In both protocols a figure is the sum of a numerator over images divided by the sum of a denominator. The paper's mean
+of per-image ratios sums the ratios of images with ground truth. Leaving images out, as for intervals, is then a
+subtraction.
 """
 
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from skope.metrics.match import Matches
 from skope.types import Array, Integers
 
 Name = tuple[str, str | None]
-"""A figure, and its protocol where there are two."""
+"""Name of a figure, and its protocol; None if it has only one."""
 FIGURE_NAMES: Final[tuple[Name, ...]] = (
     ("pck", None),
     *(
@@ -45,16 +45,16 @@ class ImageCounts:
     labelled_all: Integers
     """Labelled keypoints of all vehicles."""
     detected: Integers
-    """Keypoints of `labelled` that are predicted, anywhere."""
+    """Keypoints of `labelled` that are predicted, at any position."""
     correct: Integers
     """Keypoints of `labelled` that are predicted within alpha times the longer edge of the box."""
     predicted: Integers
-    """Predicted keypoints of all detections but those on ignored vehicles."""
+    """Predicted keypoints of all detections except unmatched detections on ignored vehicles."""
     predicted_matched: Integers
     """Predicted keypoints of the matched detections."""
 
     def to_dict(self) -> dict[str, list[int]]:
-        """Counts by name, each a list of N numbers."""
+        """Return the counts by name, each a list of N numbers."""
         return {field.name: getattr(self, field.name).tolist() for field in fields(self)}
 
 
@@ -64,7 +64,7 @@ def tally(matches: Matches, threshold: float, options: MetricOptions) -> ImageCo
     Args:
         matches: A split's ground truth and detections.
         threshold: An IoU threshold of `matches.taken`.
-        options: What counts as labelled, predicted and correct.
+        options: The rules for labelled, predicted and correct keypoints.
 
     Returns:
         Counts of the images, in the order of the file.
@@ -103,9 +103,9 @@ Quotients = dict[Name, tuple[Array, Array]]
 
 
 def quotients(counts: ImageCounts) -> Quotients:
-    """Numerators and denominators whose sums over images give each figure of `FIGURE_NAMES`.
+    """Return numerators and denominators of each figure of `FIGURE_NAMES`, per image.
 
-    The figures are those of the SKoPe3D paper's table in its own protocol (`paper`) and pooled (`pooled`).
+    The figures are those of the table in the SKoPe3D paper, in its own protocol (`paper`) and pooled (`pooled`).
     """
     c = counts
     has_truth = c.ground_truth > 0
@@ -115,12 +115,12 @@ def quotients(counts: ImageCounts) -> Quotients:
         "keypoint_precision": (c.correct, c.predicted),
         "keypoint_recall": (c.correct, c.labelled_all),
     }
-    # The paper's figures are means of each image's own ratio; its numerator is 0 wherever its denominator is.
+    # The paper's figures are means of per-image ratios. A numerator is 0 if its denominator is 0.
     paper = {
         "box_precision": (c.matched, c.detections),
         "box_recall": (c.matched, c.ground_truth),
         "keypoint_precision": (c.correct, c.predicted_matched),
-        # All keypoints of a detected vehicle count as detected, also where it has none that is labelled.
+        # All keypoints of a detected vehicle count as detected, even if none of them is labelled.
         "keypoint_recall": (
             np.where(c.labelled > 0, c.detected, c.matched > 0),
             np.where(c.labelled > 0, c.labelled, c.matched > 0),
@@ -136,9 +136,9 @@ def quotients(counts: ImageCounts) -> Quotients:
 
 
 def quality(counts: ImageCounts) -> Array:
-    """(N,) share of an image's labelled keypoints that are right, times vehicles / (vehicles + false ones).
+    """Return (N,) quality of each image: share of correct keypoints, times vehicles / (vehicles + false detections).
 
-    NaN where nothing is labelled.
+    The share is that of correct among labelled keypoints. NaN if an image has no labelled keypoints.
     """
     false = counts.detections - counts.matched - counts.detections_ignored
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -147,12 +147,12 @@ def quality(counts: ImageCounts) -> Array:
 
 
 def ratio(numerator: float, denominator: float) -> float | None:
-    """The quotient, or None where there is nothing to divide by."""
+    """Return the quotient, or None if the denominator is 0."""
     return float(numerator / denominator) if denominator else None
 
 
 def nested(values: Mapping[Name, Any]) -> dict[str, Any]:
-    """Figures laid out as in `metrics.json`: the protocols of a figure below its name."""
+    """Return figures in the layout of `metrics.json`: the protocols of a figure below its name."""
     out: dict[str, Any] = {}
     for (name, protocol), value in values.items():
         if protocol is None:

@@ -1,8 +1,8 @@
 """PCK, box and keypoint precision and recall over IoU thresholds, in the two protocols.
 
-`pooled` divides sums over the whole split. `paper` is the mean, over the images that have ground truth, of each image's
-own figures, which is what the published table follows. Ratios without a denominator are None. What is counted is
-decided in keypoint_outcomes.py, and counted image by image in outcome_counts.py.
+`pooled` divides sums over the whole split. `paper` is the mean of per-image figures over the images with ground truth,
+as in the published table. Ratios with a denominator of 0 are None. keypoint_outcomes.py has the counting rules, and
+outcome_counts.py counts per image.
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,9 +40,9 @@ class MetricRules:
     strict_alpha: float = 0.05
     """Second alpha at which PCK is reported."""
     at_precision: tuple[float, float] = (0.9, 0.95)
-    """Precisions at which box recall is reported. They do not depend on how a detector scales its scores."""
+    """Precisions at which box recall is reported. This recall does not depend on the scale of a detector's scores."""
     area_alpha: float = 0.2
-    """The area under PCK(alpha) from 0 to this, divided by it: 1 is perfect."""
+    """Upper limit of alpha for the area under PCK(alpha). The area is divided by this limit, so that 1 is perfect."""
 
 
 METRIC_RULES: Final = MetricRules()
@@ -56,14 +56,14 @@ def scores_document(
     scheme: str = keypoints.SCHEME,
     work: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """The content of `metrics.json`: the options and the entry of each split.
+    """Return the content of `metrics.json`: the options and the entry of each split.
 
     Args:
-        options: What was measured.
+        options: The counting rules.
         splits: Split name -> its entry.
-        calibrated: Whether keypoint scores are calibrated probabilities; None where another program made them.
+        calibrated: Whether keypoint scores are calibrated probabilities; None for results of another program.
         scheme: Keypoint scheme of the detector.
-        work: What `skope.files.output_folders.claim_output` says of the files that were read, the version and the date.
+        work: Input files, version and date, as from `skope.files.output_folders.claim_output`.
     """
     return {
         "version": METRIC_RULES.version,
@@ -81,36 +81,36 @@ def scores_document(
 
 
 def score_split(file: AnnotationFile, results: Sequence[Result], options: MetricOptions) -> dict[str, Any]:
-    """Match and measure a split: its counts and, for each IoU threshold, precision, recall and PCK.
+    """Match a split and return its counts and, for each IoU threshold, precision, recall and PCK.
 
     Args:
         file: The ground truth of the split.
-        results: What a detector found, each result in an image of `file`.
-        options: What counts, and at which thresholds.
+        results: Results of a detector, each in an image of `file`.
+        options: The counting rules and thresholds.
 
     Returns:
-        The beginning of the split's entry in `metrics.json`: "images", "ground_truth", "ignored", "detections" and,
-        under "iou", by threshold, the figures. Ratios are None where there is nothing to divide by.
+        The first part of the split's entry in `metrics.json`: "images", "ground_truth", "ignored", "detections", and
+        "iou" with the figures by threshold. Ratios with a denominator of 0 are None.
 
     Raises:
-        UserError: `options` ask for boxes that are not annotated.
+        UserError: `options` need boxes that are not annotated.
     """
     return score_summary(match_split(file, results, options), options)
 
 
 def match_split(file: AnnotationFile, results: Sequence[Result], options: MetricOptions) -> Matches:
-    """Match results to the ground truth, as `skope.metrics.match.match` does.
+    """Match results to the ground truth with `skope.metrics.match.match`.
 
     Args:
         file: The ground truth.
-        results: Vehicles that were found in its images.
-        options: The thresholds, and what counts.
+        results: Detected vehicles in its images.
+        options: The counting rules and thresholds.
     """
     return match(file, results, score=options.score, boxes=options.boxes, thresholds=options.iou)
 
 
 def score_summary(matches: Matches, options: MetricOptions) -> dict[str, Any]:
-    """Counts of a split and, per IoU threshold, ratios."""
+    """Return counts of a split and, per IoU threshold, ratios."""
     return {
         "images": matches.images,
         "ground_truth": len(matches.gt_image),
@@ -121,7 +121,7 @@ def score_summary(matches: Matches, options: MetricOptions) -> dict[str, Any]:
 
 
 def named_scores(pooled: outcome_counts.ImageCounts) -> dict[str, Any]:
-    """Counts and ratios at one IoU threshold, laid out as in `metrics.json`."""
+    """Return counts and ratios at one IoU threshold, in the layout of `metrics.json`."""
     names = ("matched", "labelled", "labelled_all", "correct", "predicted", "detections_ignored")
     sums = {name: int(getattr(pooled, name).sum()) for name in names}
     ratios = {name: ratio(top.sum(), bottom.sum()) for name, (top, bottom) in outcome_counts.quotients(pooled).items()}
@@ -129,9 +129,9 @@ def named_scores(pooled: outcome_counts.ImageCounts) -> dict[str, Any]:
 
 
 def localisation(outcomes: Outcomes) -> dict[str, Any]:
-    """Errors of the keypoints of matched vehicles, beyond one alpha; all in units of the box's longer edge L."""
+    """Return error statistics of the keypoints of matched vehicles, in units of the box's longer edge L."""
     counted = outcomes.labelled & outcomes.found[:, None]
-    # A vehicle whose box has no extent can have no error in its units but 0.
+    # For a box of zero size, an error of 0 stays 0 and any other error becomes infinite.
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.where(outcomes.offset > 0, outcomes.offset / outcomes.length[:, None], 0.0)
     error = np.where(outcomes.predicted, error, np.inf)[counted]
@@ -145,27 +145,27 @@ def localisation(outcomes: Outcomes) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> float | None:
-    """None where most keypoints are not predicted at all."""
+    """Return a value, or None if it is infinite because most keypoints are not predicted."""
     return float(value) if np.isfinite(value) else None
 
 
 def ranked(matches: Matches, threshold: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """(D,) scores of the detections that count at an IoU threshold, and whether each of them is a vehicle."""
+    """Return (D,) scores of the counted detections at an IoU threshold, and (D,) whether each matched a vehicle."""
     hit = matches.taken[threshold] >= 0
     counted = hit | ~matches.det_on_ignored
     return matches.det_score[counted], hit[counted]
 
 
 def recalls(file: AnnotationFile, results: Sequence[Result], options: MetricOptions) -> dict[str, float | None]:
-    """Box recall at each precision of `METRIC_RULES.at_precision`, at the loosest IoU and whatever score it takes.
+    """Return the box recall at each precision of `METRIC_RULES.at_precision`, at the lowest IoU and any score.
 
     Args:
         file: The ground truth.
-        results: Vehicles that were found in its images.
-        options: The thresholds, and what counts.
+        results: Detected vehicles in its images.
+        options: The counting rules and thresholds.
 
     Returns:
-        Recalls, None without vehicles, by precision as a key of JSON.
+        Recall by precision (as a JSON key); None without vehicles.
     """
     every = match_split(file, results, replace(options, score=0.0, iou=(options.loosest,)))
     scores, hits = ranked(every, options.loosest)
@@ -176,20 +176,21 @@ def recalls(file: AnnotationFile, results: Sequence[Result], options: MetricOpti
 def recall_at_precision(
     scores: NDArray[np.float64], hit: NDArray[np.bool_], truth: int, precision: float
 ) -> dict[str, float | None]:
-    """The greatest recall over all least scores at which a precision is reached, and the highest such least score.
+    """Return the highest recall at a given precision, and its score threshold.
 
     Args:
-        scores: (D,) of the detections that count.
-        hit: (D,) whether each is of a vehicle.
+        scores: (D,) scores of the counted detections.
+        hit: (D,) whether each matched a vehicle.
         truth: Number of vehicles.
-        precision: Share of detections that must be right, 0 to 1.
+        precision: Minimum precision, 0 to 1.
 
     Returns:
-        `recall` and `score`: 0 where the precision is never reached, None without vehicles.
+        `recall` (0 if the precision is never reached, None without vehicles) and `score`, the highest threshold with
+        that recall (None if the precision is never reached, or without vehicles).
     """
     order = np.argsort(-scores, kind="stable")
     hits = np.cumsum(hit[order])
-    # Detections of one score come in together.
+    # Detections of equal score are accepted together.
     last = np.flatnonzero(np.diff(scores[order], append=-1.0))
     reached = last[hits[last] / (last + 1) >= precision]
     if not truth or not len(reached):

@@ -1,4 +1,4 @@
-"""Read what is evaluated: the splits of a dataset or one annotation file, and the results of another program."""
+"""Readers for evaluations: the splits of a dataset or one annotation file, and results of another program."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -19,20 +19,20 @@ from skope.schema import AnnotationFile, AnyResult, Found, Result, RoadUserResul
 F = TypeVar("F", bound=Found)
 
 RESULT_SCHEMES: Final = (keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES)
-"""Keypoint schemes of results that can be held against ours."""
+"""Keypoint schemes of results that can be compared with the ground truth."""
 TEST_SPLITS: Final = ("easy", "medium", "hard", "extra")
 
 
 @dataclass(frozen=True, kw_only=True)
 class GroundTruth:
-    """Ground truth: splits in the order in which they are reported, and where their images lie."""
+    """Ground truth: splits in the order in which they are reported, and the folder of their images."""
 
     splits: tuple[AnnotationFile, ...]
     root: Path
-    """The folder that file names are relative to."""
+    """Folder that file names are relative to."""
     fleet: FleetInfo
     sources: tuple[Path, ...]
-    """The files that the ground truth comes from; of a folder with a manifest that alone, with its checksums."""
+    """Files of the ground truth. For a folder with a manifest: only the manifest, which has their checksums."""
 
     @property
     def scheme(self) -> Scheme:
@@ -41,12 +41,12 @@ class GroundTruth:
 
 
 def read_dataset(root: Path, names: Sequence[str]) -> GroundTruth:
-    """The named splits of a dataset folder; without names, all test splits that it has."""
+    """Read the named splits of a dataset folder; without names, all test splits that it has."""
     data = open_dataset(root)
     wanted = tuple(dict.fromkeys(names)) or tuple(name for name in TEST_SPLITS if name in data.splits)
     if not wanted:
         there = ", ".join(data.splits) or "none"
-        raise UserError(f"{root}: has none of the splits {', '.join(TEST_SPLITS)}; name one with --split: {there}")
+        raise UserError(f"{root}: has none of the splits {', '.join(TEST_SPLITS)}; choose one with --split: {there}")
     splits = tuple(data.read(name) for name in wanted)
     manifest = root / MANIFEST_FILE
     sources = (manifest,) if manifest.is_file() else tuple(root / "annotations" / f"{name}.json" for name in wanted)
@@ -54,7 +54,7 @@ def read_dataset(root: Path, names: Sequence[str]) -> GroundTruth:
 
 
 def _fleet(root: Path, card: dict[str, Any]) -> FleetInfo:
-    """Vehicle models of a dataset by its card; datasets of other programs say nothing of them."""
+    """Return the vehicle models from the card of a dataset. Datasets of other programs have none."""
     entry = card.get("fleet")
     if entry is None:
         return FleetInfo()
@@ -69,12 +69,16 @@ def _fleet(root: Path, card: dict[str, Any]) -> FleetInfo:
 
 
 def read_annotations(path: Path) -> GroundTruth:
-    """One annotation file by itself; its images, if they are there, lie as in a dataset folder."""
+    """Read a single annotation file. Its images, if present, are located as in a dataset folder."""
     return GroundTruth(splits=(coco.read(path),), root=path.parent.parent, fleet=FleetInfo(), sources=(path,))
 
 
 def scheme_points(scheme: str, truth: Scheme = keypoints.SKOPE33) -> tuple[int, ...]:
-    """The truth's indices of the keypoints that a detector of `scheme` predicts too; a UserError lists the schemes."""
+    """Return the indices of ground-truth keypoints that a detector of `scheme` predicts too.
+
+    Raises:
+        UserError: The scheme is unknown. The message lists the schemes.
+    """
     one_of("--scheme", scheme, RESULT_SCHEMES if truth.name == keypoints.SCHEME else (truth.name,))
     if scheme == truth.name:
         return tuple(range(keypoints.K))
@@ -85,12 +89,12 @@ def read_vehicle_results(path: Path, file: AnnotationFile, scheme: str | None = 
     """Read the vehicles of a results file.
 
     Args:
-        path: COCO results.
-        file: The images, whose ids the results have.
+        path: COCO results file.
+        file: Annotation file with the images that the results refer to by id.
         scheme: Keypoint scheme of the detector; None: that of `file`.
 
     Raises:
-        UserError: The file is malformed, or has a result that is for none of the images.
+        UserError: The file is malformed, or a result refers to an unknown image.
     """
     return tuple(_for_file(path, file, scheme))
 
@@ -99,19 +103,19 @@ def read_all_results(path: Path, file: AnnotationFile, scheme: str | None = None
     """Read the vehicles and the other road users of a results file, in its order.
 
     Args:
-        path: COCO results.
-        file: The images, whose ids the results have.
+        path: COCO results file.
+        file: Annotation file with the images that the results refer to by id.
         scheme: Keypoint scheme of the detector; None: that of `file`.
 
     Raises:
-        UserError: As `read_results` does.
+        UserError: The file is malformed, or a result refers to an unknown image.
     """
     return tuple(_all_for_file(path, file, scheme))
 
 
 @dataclass(frozen=True)
 class ResultsFile:
-    """Results that lie in the order of the images of `file`, read again each time: an hour of footage has a million."""
+    """Results in the order of the images of `file`, read from disk each time: an hour of footage has a million."""
 
     path: Path
     file: AnnotationFile
@@ -122,7 +126,7 @@ class ResultsFile:
 
 @dataclass(frozen=True)
 class RoadUsersFile:
-    """The other road users of a results file for the images of `file`, in its order, read again each time."""
+    """Other road users of a results file for the images of `file`, in its order, read from disk each time."""
 
     path: Path
     file: AnnotationFile
@@ -132,7 +136,7 @@ class RoadUsersFile:
 
 
 def stream_results(path: Path, file: AnnotationFile) -> ResultsFile | tuple[Result, ...]:
-    """The results of `read_results`, all checked; in memory only where they do not lie in the order of the images."""
+    """Return the checked results of vehicles. They are loaded only if they are not in the order of the images."""
     place = {image.id: i for i, image in enumerate(file.images)}
     places = (place[result.image_id] for result in _for_file(path, file, None))
     if all(a <= b for a, b in itertools.pairwise(places)):
@@ -157,12 +161,12 @@ def _all_for_file(path: Path, file: AnnotationFile, scheme: str | None) -> Itera
 
 
 def limit(file: AnnotationFile, max_images: int | None) -> AnnotationFile:
-    """`file`, or the images of it that `--max-images` leaves."""
+    """Return `file`, limited to `--max-images` images."""
     return file if max_images is None else take(file, max_images)
 
 
 def check_boxes(file: AnnotationFile, kind: str) -> None:
-    """Raise a UserError if a label of `file` lacks its box of `kind`, before hours are spent on predicting."""
+    """Raise a UserError if a label of `file` has no box of `kind`. This is checked before a long prediction."""
     for annotation in (*file.annotations, *file.road_users):
         try:
             box_of(annotation, kind)
@@ -171,6 +175,6 @@ def check_boxes(file: AnnotationFile, kind: str) -> None:
 
 
 def for_images(results: Sequence[F], file: AnnotationFile) -> tuple[F, ...]:
-    """The results that belong to the images of `file`."""
+    """Return the results that belong to the images of `file`."""
     images = {image.id for image in file.images}
     return tuple(result for result in results if result.image_id in images)

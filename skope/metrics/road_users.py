@@ -1,6 +1,6 @@
-"""Figures of people on foot and on two wheels by category and size, from their boxes alone, through pycocotools.
+"""Figures of pedestrians and two-wheelers by category and size, from boxes only, computed by pycocotools.
 
-They stand apart from those of vehicles: what is found of one category never counts for or against another.
+They are separate from those of vehicles: a detection of one category never counts for or against another category.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from skope.schema import CATEGORY_NAMES, AnnotationFile, RoadUserResult
 from skope.types import Array, Mask
 
 AP50_IOU: Final = 0.5
-"""IoU at which a detection matches, that of AP50."""
+"""IoU threshold for matching, as in AP50."""
 
 
 def category_figures(
@@ -26,23 +26,23 @@ def category_figures(
     all_scores: bool = True,
     known: Sequence[str] = CATEGORY_NAMES,
 ) -> dict[str, dict[str, dict[str, Any]]]:
-    """Average precision, precision and recall of each category but vehicles that `file` labels, by COCO's sizes.
+    """Return AP, precision and recall of each labelled category except vehicles, by COCO's sizes.
 
-    An ignored road user is a COCO crowd region of its category: a detection that lies on it to half of its area and
-    matches nobody is neither right nor wrong. Of an image the 300 best results of a category count.
+    An ignored road user is a COCO crowd region of its category. An unmatched detection with half of its area on it is
+    neither right nor wrong. At most the 300 best results of a category count per image.
 
     Args:
         file: The ground truth of a split.
-        results: What a detector found, in images of `file`.
-        score: Precision and recall count what scores above this.
-        boxes: Which boxes of the ground truth are matched to, one of `match.BOX_KINDS`.
-        all_scores: Whether `results` go down to the lowest scores that a detector gives. AP is None otherwise.
-        known: Categories that the detector has learnt; the others are left out.
+        results: Results of a detector, in images of `file`.
+        score: Score above which detections count for precision and recall.
+        boxes: Kind of ground-truth boxes for matching, one of `match.BOX_KINDS`.
+        all_scores: Whether `results` include the lowest scores of the detector. Otherwise AP is None.
+        known: Categories that the detector has learnt; others are omitted.
 
     Returns:
         Category -> size ("all", "small", "medium" or "large", by area: under 32 x 32, under 96 x 96 pixels) -> the
-        counts "ground_truth", "ignored", "detections" and "matched", and "precision", "recall", "ap" and "ap50", None
-        where there is nothing to divide by.
+        counts "ground_truth", "ignored", "detections" and "matched", and "precision", "recall", "ap" and "ap50", which
+        are None if the denominator is 0.
     """
     names = [name for name in file.categories[1:] if name in known]
     return {name: _by_size(*_rows(file, results, name, boxes), score, all_scores=all_scores) for name in names}
@@ -51,7 +51,7 @@ def category_figures(
 def _rows(
     file: AnnotationFile, results: Sequence[RoadUserResult], name: str, boxes: str
 ) -> tuple[list[CocoRow], list[CocoRow], list[CocoRow]]:
-    """Images, ground truth and results of one category as pycocotools takes them."""
+    """Return images, ground truth and results of one category in the format of pycocotools."""
     images = [{"id": image.id, "width": image.width, "height": image.height} for image in file.images]
     truth = [truth_box(user, boxes) for user in file.road_users if user.category == name]
     own = [result for result in results if result.category == name]
@@ -59,22 +59,25 @@ def _rows(
 
 
 def _at_ap50(evaluation: Any) -> int:
-    """Number of the IoU threshold of AP50 in an evaluation."""
+    """Return the index of the IoU threshold of AP50 in an evaluation."""
     return int(np.flatnonzero(np.isclose(evaluation.params.iouThrs, AP50_IOU))[0])
 
 
 def box_outcomes(
     file: AnnotationFile, results: Sequence[RoadUserResult], name: str, *, boxes: str = "full"
 ) -> tuple[Array, Mask]:
-    """Scores of the results of one category but vehicles and whether each found a road user at IoU 0.5, (D,) each.
+    """Return scores of the results of one category other than vehicles, and whether each matched at IoU 0.5.
 
-    Those on ignored road users that found nobody are left out, as are an image's results beyond the best 300.
+    Unmatched results on ignored road users are omitted, and so are results of an image beyond the best 300.
 
     Args:
         file: The ground truth of a split.
-        results: What a detector found, in images of `file`, of any categories.
+        results: Results of a detector in images of `file`, of any categories.
         name: The category.
-        boxes: Which boxes of the ground truth are matched to, one of `match.BOX_KINDS`.
+        boxes: Kind of ground-truth boxes for matching, one of `match.BOX_KINDS`.
+
+    Returns:
+        (D,) scores and (D,) whether each result matched a road user.
     """
     evaluation = evaluated(*_rows(file, results, name, boxes), "bbox", {"all": (0.0, 1e10)})
     at = _at_ap50(evaluation)
@@ -93,7 +96,7 @@ def _by_size(
     *,
     all_scores: bool,
 ) -> dict[str, dict[str, Any]]:
-    """The figures of one category by size."""
+    """Return the figures of one category by size."""
     from pycocotools.cocoeval import Params
 
     params = Params(iouType="bbox")
@@ -117,7 +120,7 @@ def _by_size(
 
 
 def _counts(of_images: Sequence[dict[str, Any]], at: int, score: float) -> dict[str, int]:
-    """Counts over pycocotools' rows of all images at the IoU threshold of number `at`."""
+    """Return counts over pycocotools' rows of all images at the IoU threshold with index `at`."""
     counts = dict.fromkeys(("ground_truth", "detections", "matched"), 0)
     for row in of_images:
         counts["ground_truth"] += int((np.asarray(row["gtIgnore"]) == 0).sum())

@@ -1,7 +1,7 @@
-"""Whether keypoint scores can be trusted: reliability, visible against hidden, precision over recall.
+"""Reliability of keypoint scores: calibration, separation of visible and hidden keypoints, precision over recall.
 
-A keypoint's score claims the probability that it is visible and within alpha L. It is held against what is so for
-matched detections; that a whole vehicle is there is what the vehicle's own score claims.
+A keypoint's score is taken as the probability that the keypoint is visible and within alpha L. It is compared with the
+observed share among matched detections. The score of the vehicle, not of its keypoints, covers its existence.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ class ReliabilityBins:
     """Resolution of the reliability diagram and the precision curve."""
 
     score_bins: int = 10
-    """Bins of the reliability diagram."""
+    """Number of bins of the reliability diagram."""
     curve_points: int = 101
     """Number of recalls at which precision is reported."""
 
@@ -29,14 +29,14 @@ RELIABILITY_BINS: Final = ReliabilityBins()
 
 
 def confidence(matches: Matches, outcomes: Outcomes, options: MetricOptions) -> dict[str, Any]:
-    """The entry `confidence` of a split in `metrics.json`.
+    """Return the entry `confidence` of a split in `metrics.json`.
 
-    Other programs' scores may be logits or visibilities; those outside 0..1 claim no probability, only an order.
+    Scores of other programs may be logits or visibilities. If any is outside 0 to 1, they are used only as an order.
 
     Args:
-        matches: Vehicles and detections, matched.
-        outcomes: Who was taken by which detection, at one IoU.
-        options: What counts.
+        matches: Matched vehicles and detections.
+        outcomes: Outcomes of the vehicles at one IoU threshold.
+        options: The counting rules.
     """
     found = outcomes.found
     points = np.array(options.points)
@@ -59,14 +59,14 @@ def confidence(matches: Matches, outcomes: Outcomes, options: MetricOptions) -> 
 
 
 def reliability(score: Array, right: Mask) -> list[dict[str, Any]]:
-    """Reliability diagram: for each tenth of scores that occurs, how many of its keypoints are right.
+    """Return the reliability diagram: the share of right keypoints in each bin of scores.
 
     Args:
         score: (N,) scores from 0 to 1.
-        right: (N,) whether the keypoint is visible and near enough.
+        right: (N,) whether the keypoint is visible and within alpha L.
 
     Returns:
-        A row for each tenth: "from" and "to", "count", mean "score", and the share that is "right".
+        A row for each non-empty bin: "from" and "to", "count", mean "score", and the share that is "right".
     """
     place = np.minimum((score * RELIABILITY_BINS.score_bins).astype(np.int64), RELIABILITY_BINS.score_bins - 1)
     rows = []
@@ -85,16 +85,19 @@ def reliability(score: Array, right: Mask) -> list[dict[str, Any]]:
 
 
 def calibration_error(table: list[dict[str, Any]]) -> float | None:
-    """Expected calibration error (Naeini et al., 2015) of a table that `reliability` made; None for an empty one.
+    """Return the expected calibration error (Naeini et al., 2015) of a table of `reliability`; None if it is empty.
 
-    The mean distance between a tenth's mean score and the share that is right, weighted by count.
+    It is the mean difference between the mean score of a bin and its share of right keypoints, weighted by count.
     """
     total = sum(row["count"] for row in table)
     return ratio(sum(row["count"] * abs(row["score"] - row["right"]) for row in table), total)
 
 
 def auc(positive: Array, negative: Array) -> float | None:
-    """Probability that a positive outscores a negative, ties counting half (Mann and Whitney); None without either."""
+    """Return the probability that a positive outscores a negative, with ties as half (Mann and Whitney).
+
+    None if there are no positives or no negatives.
+    """
     if not positive.size or not negative.size:
         return None
     ordered = np.sort(negative)
@@ -103,10 +106,10 @@ def auc(positive: Array, negative: Array) -> float | None:
 
 
 def _average_precision(matches: Matches, outcomes: Outcomes, options: MetricOptions) -> dict[str, Any]:
-    """Precision over recall of keypoints by falling score, false vehicles' keypoints being wrong ones.
+    """Return precision over recall of keypoints by decreasing score. Keypoints of false positives are wrong.
 
-    Recall is of all labelled keypoints, of missed vehicles too; keypoints that are not labelled are wrong, as in
-    pooled keypoint precision.
+    Recall is relative to all labelled keypoints, including those of missed vehicles. Keypoints that are not labelled
+    are wrong, as in pooled keypoint precision.
     """
     right = np.zeros((len(matches.det_image), matches.gt_keypoints.shape[1]), dtype=bool)
     right[outcomes.detection[outcomes.found]] = outcomes.correct(options.alpha)[outcomes.found]
@@ -121,15 +124,15 @@ def _average_precision(matches: Matches, outcomes: Outcomes, options: MetricOpti
 
 
 def curve(score: Array, right: Mask, total: int) -> tuple[Array, Array]:
-    """Precision over recall as COCO has it: at each recall the best precision there or at a higher one.
+    """Return precision over recall as in COCO: the best precision at each recall or at any higher recall.
 
     Args:
-        score: (N,) scores of the predicted keypoints; equal ones are accepted together.
+        score: (N,) scores of the predictions. Equal scores are accepted together.
         right: (N,) whether each is right.
-        total: Number of keypoints that could be recalled.
+        total: Number of ground-truth items.
 
     Returns:
-        (101,) recalls 0, 0.01, ... 1 and (101,) precisions; both empty where `total` is 0.
+        (101,) recalls 0, 0.01, ... 1 and (101,) precisions; both empty if `total` is 0.
     """
     if not total:
         return np.zeros(0), np.zeros(0)

@@ -1,4 +1,4 @@
-"""Everything that is measured of one split: its entry in `metrics.json`, and the counts that a comparison needs."""
+"""All figures of one split: its entry in `metrics.json`, and the counts for comparisons."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,15 +19,15 @@ from skope.schema import VEHICLE_ALONE, AnnotationFile, Result, RoadUserResult
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SplitScores:
-    """A split, what a detector found in it, and what that is worth."""
+    """Split with the results of a detector and their scores."""
 
     file: AnnotationFile
     results: Sequence[Result]
     road_users: Sequence[RoadUserResult]
-    """Results of the detector for the other road users."""
+    """Results of the detector for other road users."""
     matches: Matches
     outcomes: Mapping[float, Outcomes]
-    """IoU threshold -> what became of each vehicle."""
+    """IoU threshold -> outcome of each vehicle."""
     tallies: Mapping[float, ImageCounts]
     """IoU threshold -> counts of each image."""
     blocks: Blocks
@@ -45,16 +45,16 @@ def split_metrics(
     road_users: Sequence[RoadUserResult] = (),
     known: Sequence[str] = VEHICLE_ALONE,
 ) -> SplitScores:
-    """Match a split once, then measure all that `metrics.json` holds of it.
+    """Match a split once, then compute its whole entry in `metrics.json`.
 
     Args:
         file: The ground truth of the split.
-        results: What a detector found, each result in an image of `file`.
-        options: What counts, and at which IoU thresholds.
-        fleet: What the dataset's card says of the vehicle models.
-        all_scores: Whether `results` go down to the lowest scores that a detector gives. AP is None otherwise.
-        road_users: The other road users that it found.
-        known: Categories that it has learnt: the entry has figures of those that the ground truth labels too.
+        results: Results of a detector, each in an image of `file`.
+        options: The counting rules and IoU thresholds.
+        fleet: Vehicle models from the dataset's card.
+        all_scores: Whether `results` include the lowest scores of the detector. Otherwise AP is None.
+        road_users: Results of the detector for other road users.
+        known: Categories that the detector has learnt. Those that the ground truth labels too have figures.
     """
     matches = pck_precision_recall.match_split(file, results, options)
     outcomes = {t: outcomes_at(matches, t, options) for t in options.iou}
@@ -95,7 +95,7 @@ def split_metrics(
 
 
 def to_tallies(measured: SplitScores) -> dict[str, Any]:
-    """A split's entry in `tallies.json`: counts of each image at each IoU threshold, and the images' blocks."""
+    """Return a split's entry in `tallies.json`: counts per image and IoU threshold, and the blocks of the images."""
     return {
         "image_ids": [image.id for image in measured.file.images],
         "unit": measured.blocks.unit,
@@ -106,7 +106,7 @@ def to_tallies(measured: SplitScores) -> dict[str, Any]:
 
 
 def from_tallies(entry: Mapping[str, Any]) -> tuple[Blocks, dict[str, ImageCounts]]:
-    """The blocks and, by threshold, the counts of a split's entry in `tallies.json`."""
+    """Return the blocks and, by threshold, the counts of a split's entry in `tallies.json`."""
     blocks = Blocks(unit=entry["unit"], sites=entry["sites"], number=np.array(entry["blocks"], dtype=np.int64))
     columns = {t: {name: np.array(c, dtype=np.int64) for name, c in table.items()} for t, table in entry["iou"].items()}
     return blocks, {t: ImageCounts(**named) for t, named in columns.items()}

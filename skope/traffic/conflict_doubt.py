@@ -1,4 +1,4 @@
-"""Uncertainty of a conflict: by other places and speeds that the two may have had."""
+"""Uncertainty of a conflict, from random draws of the positions and speeds of both road users."""
 
 import math
 from dataclasses import dataclass, replace
@@ -19,16 +19,16 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class ConflictDoubt:
-    """Limits of tracks in conflicts, and draws for their uncertainty."""
+    """Minimum quality of tracks in conflicts, and number of draws for their uncertainty."""
 
     step_s: float = 0.1
     """Time step at which pairs are examined, seconds, as in SSAM."""
     horizon_s: float = 3.0
-    """Collisions up to this far ahead count for decelerations, seconds, or as far as a conflict's."""
+    """Minimum look-ahead for collisions when computing decelerations, seconds. A larger `ttc_s` replaces it."""
     samples: int = 200
     """Number of draws of positions and speeds for the uncertainty of a time to collision."""
     braking_samples: int = 60
-    """The same for a deceleration, which takes longer."""
+    """Number of draws for the uncertainty of a deceleration, which takes longer to compute."""
     fewest_positions: int = 10
     """Smallest number of positions of a road user in a conflict."""
     shortest_s: float = 2.0
@@ -36,18 +36,18 @@ class ConflictDoubt:
     around_s: float = 1.0
     """Time before and after a conflict in which gaps are searched for, seconds."""
     longest_gap_s: float = 0.6
-    """Longest gap between positions in it, seconds. A detector on key frames gives two positions per second."""
+    """Longest gap between positions in that time, seconds. A detector on key frames gives two positions per second."""
     worst_sigma_m: float = 0.5
-    """Largest standard deviation of a position in it, metres."""
+    """Largest standard deviation of the position at the conflict, metres."""
 
 
 CONFLICT_DOUBT: Final = ConflictDoubt()
 
 
 def is_followed(trajectory: Track, time_s: float) -> bool:
-    """Whether somebody is followed well enough around a time for a conflict then to be believed.
+    """Return whether a road user is tracked well enough around a time for a conflict to be credible.
 
-    Of pieces of tracks, and of what a detector takes for a vehicle for a moment, nearly all conflicts are none.
+    Nearly all conflicts of track fragments and of short false detections are false.
     """
     times = trajectory.times_s[trajectory.located]
     if len(times) < CONFLICT_DOUBT.fewest_positions or times[-1] - times[0] < CONFLICT_DOUBT.shortest_s:
@@ -62,18 +62,18 @@ def is_followed(trajectory: Track, time_s: float) -> bool:
 def ttc_interval(
     one: FootprintPath, other: FootprintPath, row: tuple[int, int], settings: TrafficSettings, rng: np.random.Generator
 ) -> tuple[float, float, float]:
-    """Interval of a time to collision, and its probability to be within the limit.
+    """Return the interval of a time to collision, and the probability that it is within the limit.
 
     Args:
-        one: A road user.
-        other: Another one.
-        row: The moment's rows of each.
+        one: Path of the first road user.
+        other: Path of the second road user.
+        row: Rows of both paths at the conflict.
         settings: `ttc_s` is the limit.
-        rng: Draws places and speeds.
+        rng: Random generator for positions and speeds.
 
     Returns:
-        Low and high end of the interval that holds 90%, seconds, infinite where there may be no collision; and the
-        probability that the time is within the limit and both are road users.
+        Low and high end of the 90% interval, seconds (infinite: there may be no collision), and the probability that
+        the time is within the limit and both are road users.
     """
     index, doubt = _drawn(one, other, row, rng)
     drawn = times_to_collision(one, other, index, _farthest_s(settings), doubt)
@@ -90,19 +90,19 @@ def hardest_needed(
     rng: np.random.Generator,
     common_scale_sigma: float = 0.0,
 ) -> tuple[float, float, float]:
-    """The largest deceleration that avoids a collision.
+    """Return the largest deceleration that avoids a collision.
 
     Args:
-        one: A road user.
-        other: Another one.
-        rows: (K,) of the moments of each.
-        seconds: (K,) times to the collision then.
-        settings: How far ahead is looked.
-        rng: Draws places and speeds.
-        common_scale_sigma: Relative standard deviation that the camera gives all distances and speeds alike.
+        one: Path of the first road user.
+        other: Path of the second road user.
+        rows: (K,) rows of each path.
+        seconds: (K,) times to collision at these rows, seconds.
+        settings: `ttc_s` sets how far ahead collisions are searched for.
+        rng: Random generator for positions and speeds.
+        common_scale_sigma: Relative standard deviation of the scale, which all distances and speeds share.
 
     Returns:
-        m/s², and the low and high end of the interval that holds 90%; all NaN where there is no collision.
+        The deceleration, m/s², and the low and high end of its 90% interval; all NaN if there is no collision.
     """
     drac = deceleration_to_avoid(one, other, rows, seconds)
     if not len(drac) or drac.max() <= 0:
@@ -110,7 +110,7 @@ def hardest_needed(
     k = int(drac.argmax())
     index, doubt = _drawn(one, other, (int(rows[0][k]), int(rows[1][k])), rng, CONFLICT_DOUBT.braking_samples)
     ahead = times_to_collision(one, other, index, _farthest_s(settings), doubt)
-    # The camera's error is one for both: it stretches distances and speeds alike, so that times stay.
+    # Both share the camera's error: it scales distances and speeds by the same factor, so times do not change.
     scale = (
         np.maximum(0.0, 1 + common_scale_sigma * rng.standard_normal(CONFLICT_DOUBT.braking_samples))
         if common_scale_sigma
@@ -120,16 +120,16 @@ def hardest_needed(
 
 
 def surely_encroaches(one: FootprintPath, other: FootprintPath, i: int, j: int, most_s: float) -> bool:
-    """Whether one gets where the other was even if both are smaller than they seem.
+    """Return whether there is an encroachment even if both road users are smaller than measured.
 
-    Length and width of each are taken to be less by the interval that holds 90% of its place at its moment.
+    Length and width of each are reduced by the width of the 90% interval of its position.
 
     Args:
-        one: A road user.
-        other: Another one.
-        i: Row of the one's moment.
-        j: Row of the other's.
-        most_s: Encroachments are looked for up to a second more than this.
+        one: Path of the first road user.
+        other: Path of the second road user.
+        i: Row of `one` at the encounter.
+        j: Row of `other` at the encounter.
+        most_s: Longest post-encroachment time, seconds. One second is added for the search.
     """
     shrunk = []
     for path, row in ((one, i), (other, j)):
@@ -144,15 +144,15 @@ def surely_encroaches(one: FootprintPath, other: FootprintPath, i: int, j: int, 
 
 
 def pet_sigma(one: FootprintPath, other: FootprintPath, reached: Encroachment | None) -> float:
-    """Standard deviation of an encroachment's time: of the two times, by places, lengths and speeds.
+    """Return the standard deviation of a post-encroachment time, from errors of positions and lengths.
 
     Args:
-        one: A road user.
-        other: Another one.
-        reached: The encroachment; None: there is none.
+        one: Path of the first road user.
+        other: Path of the second road user.
+        reached: The encroachment; None if there is none.
 
     Returns:
-        Seconds; NaN where there is none.
+        The standard deviation, seconds; NaN without an encroachment.
     """
     if reached is None:
         return math.nan
@@ -165,12 +165,12 @@ def pet_sigma(one: FootprintPath, other: FootprintPath, reached: Encroachment | 
 
 
 def in_order(times: tuple[float, float], reached: Encroachment) -> tuple[float, float]:
-    """The times of the two that were asked for, of those of the first and the second who got there."""
+    """Return times, given in order of arrival, in the order in which the two road users were passed."""
     return times[::-1] if reached.swapped else times
 
 
 def _farthest_s(settings: TrafficSettings) -> float:
-    """Seconds ahead for which drawn collisions are looked for: much farther than the one that was found."""
+    """Return the look-ahead for collisions of random draws, seconds. It is four times that of the measured one."""
     return 4 * max(settings.ttc_s, CONFLICT_DOUBT.horizon_s)
 
 
@@ -181,7 +181,7 @@ def _drawn(
     rng: np.random.Generator,
     count: int = CONFLICT_DOUBT.samples,
 ) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], SampledStates]:
-    """A moment `count` times, with places and speeds drawn as uncertain as they are."""
+    """Return one pair of rows, repeated `count` times, with randomly drawn positions and speeds."""
     shifts, speeds = [], []
     for path, row in zip((one, other), rows, strict=True):
         time_s, trajectory = float(path.times_s[row]), path.trajectory
@@ -193,7 +193,7 @@ def _drawn(
 
 
 def _middle(drawn: Array) -> tuple[float, float]:
-    """Between what values lie with `INTERVAL_LEVEL`; infinite ones are the largest."""
+    """Return the central interval of the draws at `INTERVAL_LEVEL` (90%). Infinite values sort last."""
     tail = round(len(drawn) * (1 - INTERVAL_LEVEL) / 2)
     ordered = np.sort(drawn)
     return float(ordered[tail]), float(ordered[-1 - tail])

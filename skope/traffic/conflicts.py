@@ -1,6 +1,7 @@
-"""Conflicts: two road users who would collide if both continued, or of whom one reaches where the other just was.
+"""Conflicts: pairs of road users that would collide if both continued, or that use the same place shortly after each
+other.
 
-Encounters of two road users, near a collision or one after the other in one place, are what conflicts are made of.
+A conflict is made from an encounter: two road users close to a collision, or one after the other in the same place.
 """
 
 import math
@@ -36,7 +37,7 @@ class ConflictLimits:
     """Limits of conflicts."""
 
     moving_mps: float = 1.0
-    """Least speed of one of the two road users, m/s."""
+    """Minimum speed of the faster road user, m/s."""
     block_rows: int = 400
     """Number of moments that are computed together. It bounds memory."""
     crossing_deg: float = 80.0
@@ -48,7 +49,7 @@ CONFLICT_LIMITS: Final = ConflictLimits()
 
 @dataclass(frozen=True, kw_only=True)
 class Encounter:
-    """Two road users that come close to a collision, or one that reaches the place of the other."""
+    """Two road users close to a collision, or one after the other in the same place."""
 
     first: FootprintPath
     second: FootprintPath
@@ -82,23 +83,23 @@ class Encounter:
 
 
 def find_encounter(first: FootprintPath, second: FootprintPath, settings: TrafficSettings) -> Encounter | None:
-    """Find where two come near a collision, or get where the other one was.
+    """Find the encounter of two road users.
 
     Args:
-        first: A road user.
-        second: Another one.
+        first: Path of the first road user.
+        second: Path of the second road user.
         settings: `ttc_s` and `pet_s` are the limits.
 
     Returns:
-        The meeting; None where there is none, where one only follows the other, or where it is doubtful that places
-        cross.
+        The encounter. None if there is none, if one road user only follows the other, or if it is uncertain that they
+        use the same place.
     """
     rows, seconds = _approaches(first, second, settings)
     least = int(seconds.argmin()) if len(seconds) else 0
     close = bool(len(seconds) and seconds[least] <= settings.ttc_s)
     encroachment = by_places(first, second, settings.pet_s)
     if encroachment is not None and encroachment.seconds == 0:
-        encroachment = None  # they touch: places are not that exact
+        encroachment = None  # the footprints touch: positions are not exact enough for an encroachment
     if close:
         i, j = int(rows[0][least]), int(rows[1][least])
     elif encroachment is not None:
@@ -106,10 +107,10 @@ def find_encounter(first: FootprintPath, second: FootprintPath, settings: Traffi
         i, j = (_row(path, time_s) for path, time_s in zip((first, second), in_order(times, encroachment), strict=True))
     else:
         return None
-    # Two that turn one behind the other head elsewhere at any moment, but not at any place.
+    # Two vehicles that turn one behind the other differ in heading at the same time, but not at the same place.
     crossing_angle_deg = _angle_of_ways(first, second, i, j)
     if not close and crossing_angle_deg < COLLISION_LIMITS.rear_end_deg:
-        return None  # one behind the other: that is a gap
+        return None  # one follows the other: this is a gap
     if not close and not surely_encroaches(first, second, i, j, settings.pet_s):
         return None
     return Encounter(
@@ -125,7 +126,7 @@ def find_encounter(first: FootprintPath, second: FootprintPath, settings: Traffi
 
 
 def rows_together(first: FootprintPath, second: FootprintPath) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The rows of the moments at which both are there, of each."""
+    """Return the rows of both paths at the times that they have in common."""
     begin, end = max(first.ticks[0], second.ticks[0]), min(first.ticks[-1], second.ticks[-1]) + 1
     ticks = np.arange(begin, max(begin, end))
     return ticks - first.ticks[0], ticks - second.ticks[0]
@@ -134,7 +135,7 @@ def rows_together(first: FootprintPath, second: FootprintPath) -> tuple[NDArray[
 def _approaches(
     first: FootprintPath, second: FootprintPath, settings: TrafficSettings
 ) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Array]:
-    """The rows of moments at which the two are near, and the times to their collision."""
+    """Return the rows of the times at which the two are near each other, and the times to their collision."""
     a, b = rows_together(first, second)
     horizon = max(settings.ttc_s, CONFLICT_DOUBT.horizon_s)
     speeds = first.speed[a] + second.speed[b]
@@ -152,7 +153,7 @@ def _approaches(
 
 
 def _angle_of_ways(first: FootprintPath, second: FootprintPath, i: int, j: int) -> float:
-    """Degrees between the ways of two, where the way of one is nearest to where the other one is."""
+    """Return the angle between two paths, degrees, where one path is nearest to the position of the other road user."""
     here = int(np.linalg.norm(first.place - second.place[j], axis=1).argmin())
     there = int(np.linalg.norm(second.place - first.place[i], axis=1).argmin())
     return float(min(angle_deg(first.facing[here], second.facing[j]), angle_deg(first.facing[i], second.facing[there])))
@@ -163,58 +164,62 @@ def _row(path: FootprintPath, time_s: float) -> int:
 
 
 def _behind(first: FootprintPath, second: FootprintPath, i: int, j: int) -> bool:
-    """Whether `first` sees `second` ahead."""
+    """Return whether `second` is ahead of `first`."""
     return bool((second.place[j] - first.place[i]) @ first.facing[i] > 0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Conflict:
-    """Two road users near a collision."""
+    """Conflict of two road users."""
 
     first: Track
     second: Track
-    """The one that gets where the other one was, or, where that does not happen, that drives behind."""
+    """Road user that reaches the place of `first` later. Without an encroachment: the road user behind."""
     time_s: float
-    """Of the least time to collision; without one, when the second one gets there. Seconds of the footage."""
+    """Time of the smallest time to collision. Without one: time at which `second` reaches the place. Seconds of the
+    footage."""
     first_s: float
-    """The same, but where there is no time to collision, when the first one was there."""
+    """Time of the smallest time to collision. Without one: time at which `first` was at the place. Seconds of the
+    footage."""
     place: Array
-    """(2,) the middle between the two then, metres."""
+    """(2,) midpoint between the two road users at the conflict, metres."""
     zone: str
-    """Name of the zone that it lies in; empty for none."""
+    """Name of the zone that contains `place`; empty for none."""
     kind: str
-    """Rear end, lane change or crossing, by the angle between them as SSAM has it."""
+    """Conflict type by angle (SSAM): "rear end", "lane change" or "crossing"."""
     angle_deg: float
+    """Angle between the two road users, degrees."""
     ttc_s: float
-    """Least time to collision, seconds; NaN where there is none up to the limit."""
+    """Smallest time to collision, seconds; NaN if there is none up to the limit."""
     ttc_low_s: float
     ttc_high_s: float
-    """Between these it lies with 90%; infinite: perhaps there is none."""
+    """`ttc_low_s` and `ttc_high_s` are the 90% interval of `ttc_s`; infinite: there may be no collision."""
     probability: float
-    """Probability that the time to collision is within the limit and both are road users; NaN where there is none."""
+    """Probability that the time to collision is within the limit and both are road users; NaN without `ttc_s`."""
     drac_ms2: float
-    """Largest deceleration rate to avoid a crash, m/s^2; NaN where there is no collision ahead."""
+    """Largest deceleration rate to avoid a crash, m/s^2; NaN if there is no collision ahead."""
     drac_low_ms2: float
     drac_high_ms2: float
-    """Between these it lies with 90%."""
+    """`drac_low_ms2` and `drac_high_ms2` are the 90% interval of `drac_ms2`."""
     pet_ssam_s: float
-    """Post-encroachment time by SSAM's definition, seconds; NaN where there is none up to the limit."""
+    """Post-encroachment time by SSAM's definition, seconds; NaN if there is none up to the limit."""
     pet_area_s: float
-    """The same from when the first one leaves the area that both drive over; NaN where they drive along one way."""
+    """Post-encroachment time for the area that both road users cover, seconds. NaN if there is none up to the limit, or
+    if both use the same path."""
     pet_sigma_s: float
-    """Standard deviation of both, seconds."""
+    """Standard deviation of `pet_ssam_s` and `pet_area_s`, seconds."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ConflictSearch:
-    """The conflicts of a footage, and what was left out."""
+    """Conflicts of the footage, and the numbers of excluded pairs."""
 
     conflicts: tuple[Conflict, ...]
     overlapping: int
-    """Pairs whose footprints overlap while they drive, or touch: two tracks of one vehicle, or places that are wrong.
-    They are no conflicts."""
+    """Number of pairs with footprints that overlap or touch: two tracks of one vehicle, or wrong positions. They are no
+    conflicts."""
     poorly_tracked_pairs: int
-    """Pairs of which one is not followed well enough where they meet to say that it is a conflict."""
+    """Number of pairs with a track that is too poor at the encounter to call it a conflict."""
 
 
 def conflicts(
@@ -224,18 +229,18 @@ def conflicts(
     zones: Sequence[Zone] = (),
     common_scale_sigma: float = 0.0,
 ) -> ConflictSearch:
-    """Find all pairs with a time to collision up to `settings.ttc_s`, or whose ways cross within `settings.pet_s`.
+    """Find all pairs with a time to collision up to `settings.ttc_s`, or with paths that cross within `settings.pet_s`.
 
     Args:
-        trajectories: All tracks, in metres. Those with the flag `implausible_speed` are in no conflict.
+        trajectories: All tracks, in metres. Tracks with the flag `implausible_speed` are excluded.
         settings: Limits of the two times.
-        rng: Draws places and speeds, for how uncertain a conflict is.
-        zones: Give the conflicts in them a name.
+        rng: Random generator for positions and speeds, which give the uncertainty of a conflict.
+        zones: Zones. A conflict gets the name of the first zone that contains it.
         common_scale_sigma: Relative standard deviation of the scale, which all distances and speeds share. It cancels
             in times and widens the intervals of decelerations.
 
     Returns:
-        The conflicts by time, and how many pairs were left out.
+        The conflicts in order of time, and the numbers of excluded pairs.
     """
     followed = [first for first in trajectories if is_in_traffic(first) and has_plausible_speed(first)]
     made = footprint_paths(followed, CONFLICT_DOUBT.step_s)
@@ -258,7 +263,7 @@ def conflicts(
 
 
 def _pairs(made: Sequence[FootprintPath], late_s: float) -> Iterator[tuple[FootprintPath, FootprintPath]]:
-    """Those who are there at the same time, or within `late_s` of each other; not two people on foot."""
+    """Yield pairs that are present at the same time, or within `late_s` of each other, except two pedestrians."""
     ordered = sorted(made, key=lambda path: int(path.ticks[0]))
     present: list[FootprintPath] = []
     for path in ordered:
@@ -270,7 +275,7 @@ def _pairs(made: Sequence[FootprintPath], late_s: float) -> Iterator[tuple[Footp
 
 
 def _overlapping(first: FootprintPath, second: FootprintPath) -> bool:
-    """Whether the footprints ever overlap, each of them a little smaller than it is stated."""
+    """Return whether the footprints ever overlap if each is reduced to 80% of its size."""
     a, b = rows_together(first, second)
     close = np.linalg.norm(first.place[a] - second.place[b], axis=1) < first.radius + second.radius
     shrunk = [
@@ -287,7 +292,7 @@ def _conflict(
     zones: Sequence[Zone],
     common_scale_sigma: float,
 ) -> Conflict:
-    """The conflict of two who meet, with how uncertain it is."""
+    """Return the conflict of an encounter, with its uncertainty."""
     first, second, encroachment, (i, j) = encounter.first, encounter.second, encounter.encroachment, encounter.moment
     angle = float(angle_deg(first.facing[i], second.facing[j])) if encounter.close else encounter.crossing_angle_deg
     area = (

@@ -1,13 +1,14 @@
-"""Interval of a true number around a count, from the two ways in which a count is wrong.
+"""Interval of a true number around a count, from its false and its missing crossings.
 
-A count may hold false ones (F), and may lack others (A): the true number is count - F + A. F is a sum of trials, each
-with its own probability (a Poisson binomial number; Hong, "On computing the distribution function for the Poisson
-binomial distribution", 2013). A has three parts: crossings that are seen and not counted, tracks that were lost near
-the gate, and road users that nothing saw. Of the last, if a share m of all is missed, a negative binomial number is
-missing beside those that were counted; m itself is known as a Beta distribution.
+If F counted crossings are false and A are missing, the true number is count - F + A. F is a sum of trials with
+individual probabilities (a Poisson binomial number; Hong, "On computing the distribution function for the Poisson
+binomial distribution", 2013). A has three parts: crossings that were detected and not counted, tracks that were lost
+near the gate, and road users that were never detected. If a share m of all road users is never detected, their number
+is negative binomial, given the number counted. m has a Beta distribution.
 
-The interval lies between the count less the 95% quantile of F and the count plus the 95% quantile of A. The true number
-lies below it, or above it, with a probability of at most 5% each, and the count itself is always inside.
+The interval is from the count less the 95% quantile of F to the count plus the 95% quantile of A. The probability that
+the true number lies below it is at most 5%, and so is the probability that it lies above. The interval always includes
+the count.
 """
 
 from collections.abc import Iterable, Sequence
@@ -23,17 +24,17 @@ from skope.confidence_level import INTERVAL_LEVEL
 from skope.types import Array
 
 Beta: TypeAlias = tuple[float, float]
-"""Parameters a and b of a Beta distribution of a share; (0, 1): the share is 0."""
+"""Parameters a and b of the Beta distribution of a share; (0, 1): the share is 0."""
 _SIDE_LEVEL: Final = 1 - (1 - INTERVAL_LEVEL) / 2
 """Level of each of the two quantiles."""
 
 
 @dataclass(frozen=True)
 class DistributionLimits:
-    """How far distributions of counts are computed."""
+    """Truncation of count distributions."""
 
     mass: float = 0.9999
-    """Share of a distribution's probability that is computed. The rest is put at its last number."""
+    """Share of a distribution's probability that is computed. The rest is added to its last number."""
     largest_count: int = 2**20
     """Largest number that is computed."""
 
@@ -50,47 +51,47 @@ class CountInterval:
 
 
 def in_words(expected: CountInterval | None) -> str:
-    """The bounds, as people read them."""
+    """Return the bounds as text."""
     return "not known" if expected is None else f"{expected.low} to {expected.high}"
 
 
 def in_cells(expected: CountInterval | None) -> tuple[int | None, int | None]:
-    """Cells of a table: low and high, empty where nothing is known."""
+    """Return the table cells low and high; both None if there is no interval."""
     return (None, None) if expected is None else (expected.low, expected.high)
 
 
 def in_json(expected: CountInterval | None) -> dict[str, int]:
-    """Entries of an object; none where nothing is known."""
+    """Return the JSON entries low and high; empty if there is no interval."""
     return {} if expected is None else {"low": expected.low, "high": expected.high}
 
 
 @dataclass(frozen=True)
 class CountErrors:
-    """What may be wrong with a count of road users that share one miss rate."""
+    """Possible errors of a count of road users that share one miss rate."""
 
     false: Sequence[float] = ()
-    """Probability of each that was counted to be none, or none of those asked for."""
+    """Probability for each counted crossing that it is false or of another class or lane."""
     uncounted: Sequence[float] = ()
-    """Probability of each that was seen and not counted to be one."""
+    """Probability for each detected but uncounted crossing that it is real."""
     possible: int = 0
     """Number of tracks that were lost near the gate and may have crossed it."""
     came: Beta = (1.0, 1.0)
     """Share of `possible` that did cross."""
     missed: Beta = (0.0, 1.0)
-    """Share of all that nothing sees."""
+    """Share of all road users that is never detected."""
 
     def false_pmf(self) -> Array:
-        """(F + 1,) probabilities of how many of the counted ones are false."""
+        """Return (F + 1,) probabilities of the number of false crossings."""
         return poisson_binomial(self.false)
 
     def added_pmf(self) -> Array:
-        """(A + 1,) probabilities of how many there were beside the counted ones."""
+        """Return (A + 1,) probabilities of the number of missing crossings."""
         lost = betabinom.pmf(np.arange(self.possible + 1), self.possible, *self.came) if self.possible else np.ones(1)
         return _sum_pmf([poisson_binomial(self.uncounted), lost, missed_pmf(len(self.false), self.missed)])
 
 
 def poisson_binomial(probabilities: Sequence[float]) -> Array:
-    """(N + 1,) probabilities that 0 to N of N independent events happen, which have probabilities (N,)."""
+    """Return (N + 1,) probabilities that 0 to N of N independent events with probabilities (N,) happen."""
     out = np.ones(1)
     for p in probabilities:
         out = np.convolve(out, [1 - p, p])
@@ -98,10 +99,10 @@ def poisson_binomial(probabilities: Sequence[float]) -> Array:
 
 
 def missed_pmf(counted: int, missed: Beta) -> Array:
-    """(M + 1,) probabilities of the number that nothing saw, beside a number that was counted.
+    """Return (M + 1,) probabilities of the number that was never detected, given the number that was counted.
 
-    A beta negative binomial distribution: failures before `counted` + 1 successes, each event being seen with a
-    probability of Beta(b, a). The 1 stands for a true number of which nothing else is known.
+    The distribution is beta negative binomial: failures before `counted` + 1 successes, with a detection probability
+    of Beta(b, a). The 1 represents a flat prior of the true number.
     """
     if missed[0] == 0:
         return np.ones(1)
@@ -119,21 +120,22 @@ def missed_pmf(counted: int, missed: Beta) -> Array:
 
 @dataclass(frozen=True)
 class CountDistribution:
-    """A count, and how many of it may be false and missing."""
+    """Count with the distributions of its false and missing crossings."""
 
     count: int
     errors: Sequence[CountErrors]
-    """What may be wrong, by groups of road users that share one miss rate."""
+    """Possible errors, by groups of road users that share one miss rate."""
     shifts: Sequence[int] = field(default_factory=tuple)
-    """Differences of the count under equally probable other cameras, where the camera's error moves the gate."""
+    """Differences of the count under cameras drawn from the calibration covariance. Empty if the camera's error does
+    not move the gate."""
 
     def interval(self) -> CountInterval:
-        """The 90% interval of the true number; it holds the count."""
+        """Return the 90% interval of the true number. It includes the count."""
         false, added = self._pmfs()
         return CountInterval(max(0, self.count - _quantile(false)), self.count + _quantile(added))
 
     def number_pmf(self) -> tuple[int, Array]:
-        """The least true number with a probability, and (N,) the probabilities from there on."""
+        """Return the smallest possible true number and the (N,) probabilities of the numbers from there on."""
         false, added = self._pmfs()
         return self.count - len(false) + 1, np.convolve(false[::-1], added)
 
@@ -145,11 +147,11 @@ class CountDistribution:
 
 
 def count_interval(probabilities: Sequence[float], missed: Beta) -> CountInterval:
-    """The interval around a count of events that are real with these probabilities.
+    """Return the 90% interval of the true number of events.
 
     Args:
-        probabilities: (N,) of the N that were counted.
-        missed: Share of all that nothing sees.
+        probabilities: (N,) probability for each counted event that it is real.
+        missed: Share of all events that is never detected.
     """
     return CountDistribution(
         len(probabilities), [CountErrors([1 - p for p in probabilities], missed=missed)]
@@ -157,16 +159,16 @@ def count_interval(probabilities: Sequence[float], missed: Beta) -> CountInterva
 
 
 def hull(intervals: Iterable[CountInterval]) -> CountInterval:
-    """The smallest interval around several."""
+    """Return the smallest interval that contains all intervals."""
     rows = list(intervals)
     return CountInterval(min(one.low for one in rows), max(one.high for one in rows))
 
 
 def _sum_pmf(pmfs: Iterable[Array]) -> Array:
-    """Probabilities of a sum of independent numbers."""
+    """Return the probabilities of a sum of independent numbers."""
     return reduce(np.convolve, pmfs, np.ones(1))
 
 
 def _quantile(pmf: Array) -> int:
-    """The least number up to which there is at least `_SIDE_LEVEL` of the probability."""
+    """Return the smallest number with a cumulative probability of at least `_SIDE_LEVEL`."""
     return int(np.searchsorted(np.cumsum(pmf), _SIDE_LEVEL - 1e-12))

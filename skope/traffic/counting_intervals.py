@@ -1,4 +1,4 @@
-"""Intervals on the clock, on days of 23, 24 and 25 hours."""
+"""Counting intervals by the clock, also on days of 23 and 25 hours."""
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, tzinfo
@@ -12,27 +12,27 @@ if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
 
 CLOCK_STEP: Final = timedelta(seconds=1)
-"""Precision to which a change of clocks is found. They change at whole seconds."""
+"""Precision of the search for a clock change. Clocks change at whole seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClockInterval:
-    """A part of the footage, from `begin_s` to before `end_s`, seconds of the footage."""
+    """Part of the footage from `begin_s` up to but excluding `end_s`, seconds of the footage."""
 
     begin_s: float
     end_s: float
     begin: datetime | None
-    """Time at which it begins, in the site's zone; None where nothing says when the footage was taken."""
+    """Start time, in the site's zone; None if the time of the footage is not known."""
     end: datetime | None
 
 
 def local_start(site: "SiteParts") -> datetime | None:
-    """Time at which the footage begins, in the site's zone; None: the site does not say."""
+    """Return the start time of the footage in the site file, in the site's zone; None if there is none."""
     return None if site.start is None else local_time(site.start, site)
 
 
 def local_time(time: datetime, site: "SiteParts") -> datetime:
-    """A time with a zone, in the site's time zone where that is known."""
+    """Return a time, converted to the site's time zone if that is known."""
     return time.astimezone(ZoneInfo(site.time_zone)) if site.time_zone else time
 
 
@@ -40,12 +40,12 @@ def time_of(text: Any, where: str, like: str = "2026-11-26T10:00:00") -> datetim
     """Read a time.
 
     Args:
-        text: A time as ISO 8601 writes it, with or without a zone.
-        where: What the message begins with.
+        text: A time in ISO 8601 format, with or without a zone.
+        where: Start of the error message.
         like: An example for the message.
 
     Raises:
-        UserError: It is no such time, or of no year that footage can be of.
+        UserError: The text is no such time, or the year is implausible for footage.
     """
     try:
         time = datetime.fromisoformat(text)
@@ -57,16 +57,16 @@ def time_of(text: Any, where: str, like: str = "2026-11-26T10:00:00") -> datetim
 
 
 def clock_intervals(start: datetime | None, begin_s: float, end_s: float, minutes: int) -> list[ClockInterval]:
-    """The intervals that footage from `begin_s` to `end_s` touches, of so many minutes each on the clock.
+    """Return the clock intervals that overlap the footage from `begin_s` to `end_s`.
 
-    They begin at whole multiples from midnight. Where clocks are changed within one, it ends there and another one
-    begins: none is longer than it says, and the hour that comes twice in autumn has its intervals twice.
+    Intervals begin at multiples of `minutes` from midnight. An interval ends at a clock change, where the next interval
+    begins. No interval is therefore longer than `minutes`, and the repeated hour in autumn has its intervals twice.
 
     Args:
-        start: When second 0 of the footage was; None: intervals count from there.
-        begin_s: First second.
-        end_s: Last second.
-        minutes: Length of an interval.
+        start: Time of second 0 of the footage; None: intervals begin at second 0.
+        begin_s: Start of the footage, seconds.
+        end_s: End of the footage, seconds.
+        minutes: Length of an interval, minutes.
     """
     if start is None:
         size = 60.0 * minutes
@@ -94,7 +94,7 @@ def clock_intervals(start: datetime | None, begin_s: float, end_s: float, minute
 
 
 def _around(at: datetime, zone: tzinfo, minutes: int) -> tuple[datetime, datetime]:
-    """Begin and end, in UTC, of the interval that an instant in UTC lies in."""
+    """Return start and end, in UTC, of the interval that contains an instant in UTC."""
     offset = _offset(at, zone)
     wall = (at + offset).replace(tzinfo=None)
     midnight = wall.replace(hour=0, minute=0, second=0, microsecond=0)
@@ -115,7 +115,7 @@ def _offset(at: datetime, zone: tzinfo) -> timedelta:
 
 
 def _change(before: datetime, after: datetime, zone: tzinfo) -> datetime:
-    """The first second, in UTC, at which the clock goes as it does at `after` and not as at `before`."""
+    """Return the first second, in UTC, that no longer has the UTC offset of `before`."""
     low, high = 0, int((after - before) / CLOCK_STEP) + 1
     was = _offset(before, zone)
     while high - low > 1:

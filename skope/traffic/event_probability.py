@@ -1,6 +1,6 @@
-"""How probable counted events are, and how many road users are missed: rates measured on generated footage.
+"""Probability of counted events, and miss rates of road users, as measured on generated footage.
 
-The rates and what they were measured on are in crossing_rates.json (scripts/research/gate_coverage.py writes it).
+crossing_rates.json has the rates and describes the footage. scripts/research/gate_coverage.py writes it.
 """
 
 import json
@@ -27,7 +27,7 @@ class EventFactors:
     counted_probability: float = 0.5
     """Probability below which an event is not counted."""
     most_positions: int = 48
-    """Number of positions above which an event gets no more probable."""
+    """Number of positions above which the probability of an event no longer grows."""
     doubted: float = 0.75
     """Factor for a track with one of `DOUBTED_FLAGS`."""
     short_s: float = 0.5
@@ -35,7 +35,7 @@ class EventFactors:
     around_s: float = 1.5
     """Half of the period around a crossing that is searched for gaps, seconds."""
     gap_s: float = 0.5
-    """A crossing is in doubt if there is a longer gap around it than this and the usual step, seconds."""
+    """A crossing is in doubt if a gap around it exceeds the usual step by more than this, seconds."""
     usual_step_s: float = 0.1
     """Time between positions if no track gives it, seconds."""
     jumping: float = 0.1
@@ -48,7 +48,7 @@ class EventFactors:
     """The same for pedestrians: intercept; log(0.05 m + largest standard deviation of the position). Of 43 tracks
     25 had switched to another pedestrian."""
     same_rider: float = 0.976
-    """Probability for two-wheelers: 41 of 42 tracks were one."""
+    """Probability for two-wheelers: 41 of 42 tracks belonged to one road user."""
     few_lost: int = 2
     """Number of lost tracks that any gate may have."""
 
@@ -67,43 +67,44 @@ class MissRateGroup:
 
     classes: frozenset[str]
     missed: Beta
-    """Share that nothing sees, as a Beta distribution over gates."""
+    """Share that is never detected, as a Beta distribution over gates."""
     came: Beta
-    """Share of the tracks lost near a gate (`skope.traffic.missed_crossings`) that did cross it, likewise."""
+    """Share of the tracks lost near a gate (`skope.traffic.missed_crossings`) that did cross it, as a Beta distribution
+    over gates."""
     real: float = 1.0
     """Factor on the probability of crossings, from manual counts."""
     rejects_losing_gates: bool = False
-    """Whether a gate at which more tracks are lost than cross has no interval."""
+    """Whether a gate has no interval if more tracks are lost at it than cross it."""
     too_small: bool = False
-    """Whether there is no interval at all: too few of them are detected."""
+    """Whether there is never an interval, because too few road users of these classes are detected."""
 
     @property
     def mean_missed(self) -> float:
-        """Mean share that nothing sees."""
+        """Mean share that is never detected."""
         return self.missed[0] / sum(self.missed)
 
     def loses(self, crossed: int, lost: int) -> bool:
-        """Whether a gate sees so few that their number is not known.
+        """Return whether too few road users are detected at a gate to estimate their number.
 
         Args:
-            crossed: Number that was counted there.
-            lost: Number of tracks that were lost there.
+            crossed: Number of counted crossings.
+            lost: Number of lost tracks.
         """
         return self.too_small or (self.rejects_losing_gates and lost > max(EVENT_FACTORS.few_lost, crossed))
 
 
 @cache
 def rates() -> Mapping[str, Any]:
-    """Content of crossing_rates.json."""
+    """Return the content of crossing_rates.json."""
     text = files("skope.traffic").joinpath("crossing_rates.json").read_text(encoding="utf-8")
     return dict(json.loads(text))
 
 
 def miss_rate_groups(pixels_per_metre: float | None) -> tuple[MissRateGroup, ...]:
-    """Groups at a gate in metres: vehicles, two-wheelers, pedestrians.
+    """Return the groups at a gate in metres: vehicles, two-wheelers, pedestrians.
 
     Args:
-        pixels_per_metre: Size of a metre at the gate; None: not known.
+        pixels_per_metre: Size of one metre at the gate, pixels; None: not known.
     """
     metres = rates()["metres"]
     by_size = metres["others"]
@@ -125,7 +126,7 @@ def miss_rate_groups(pixels_per_metre: float | None) -> tuple[MissRateGroup, ...
 
 
 def image_miss_rate_groups(vehicle_px: float | None) -> tuple[MissRateGroup, ...]:
-    """The one group at a gate in the image.
+    """Return the only group at a gate in the image, which contains all classes.
 
     Args:
         vehicle_px: Usual height of a vehicle's box at the gate, pixels; None: not known.
@@ -136,7 +137,7 @@ def image_miss_rate_groups(vehicle_px: float | None) -> tuple[MissRateGroup, ...
 
 
 def queue_miss_rate() -> Beta:
-    """Share of the vehicles in a queue that nothing sees."""
+    """Return the share of the vehicles in a queue that is never detected."""
     return _beta(rates()["metres"]["queue"]["missed"])
 
 
@@ -146,16 +147,16 @@ def _beta(values: Sequence[float]) -> Beta:
 
 
 def event_probability(track: Track) -> float:
-    """Probability that an event of this track happened, and is not that of another track too.
+    """Return the probability that an event of this track happened and that no other track has it too.
 
-    By Laplace's rule of succession over the moments at which a position was measured.
+    It follows Laplace's rule of succession over the number of measured positions.
     """
     positions = min(int(track.located.sum()), EVENT_FACTORS.most_positions)
     return (positions + 1) / (positions + 2) * undoubted(track)
 
 
 def crossing_probability(track: Track, time_s: float, step_s: float, *, metres: bool = True) -> float:
-    """Probability that a road user crossed a gate at a time, and is counted there by no other track.
+    """Return the probability that a road user crossed a gate and that no other track counts it there.
 
     Args:
         track: The track that crosses.
@@ -170,10 +171,10 @@ def crossing_probability(track: Track, time_s: float, step_s: float, *, metres: 
 
 
 def crossing_doubts(track: Track, time_s: float, step_s: float) -> int:
-    """Number of reasons to doubt a crossing, 0 to 2.
+    """Return the number of reasons to doubt a crossing, 0 to 2.
 
-    The reasons: the track was located for less than 0.5 s before or after it; and it has a gap near the crossing,
-    longer than the usual step by 0.5 s: footage with few frames, or key frames, is not doubted for that.
+    First reason: the track was located for less than 0.5 s before or after the crossing. Second reason: a gap near the
+    crossing exceeds the usual step by more than 0.5 s. Footage with a low frame rate is therefore not in doubt.
 
     Args:
         track: The track that crosses.
@@ -187,7 +188,7 @@ def crossing_doubts(track: Track, time_s: float, step_s: float) -> int:
 
 
 def same_probability(track: Track, begin_s: float, end_s: float, step_s: float) -> float:
-    """Probability that a track, in metres, belongs to one road user for the whole of a period.
+    """Return the probability that a track, in metres, belongs to one road user for a whole period.
 
     Args:
         track: The track.
@@ -210,13 +211,13 @@ def same_probability(track: Track, begin_s: float, end_s: float, step_s: float) 
 
 
 def usual_step(tracks: Sequence[Track]) -> float:
-    """Median time between positions of all tracks, seconds; 0.1 without any."""
+    """Return the median time between positions of all tracks, seconds; 0.1 if there are none."""
     steps = [np.diff(one.times_s[one.located]) for one in tracks]
     every = np.concatenate([np.zeros(0), *steps])
     return float(np.median(every)) if len(every) else EVENT_FACTORS.usual_step_s
 
 
 def undoubted(track: Track) -> float:
-    """Factor for the flags of a track, and for having been joined."""
+    """Return the factor for the flags of a track and for joined parts."""
     doubted = EVENT_FACTORS.doubted if DOUBTED_FLAGS & set(track.flags) else 1.0
     return doubted * track.stitch_probability

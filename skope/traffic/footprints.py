@@ -1,4 +1,4 @@
-"""The rectangles that road users stand on, and when two of them meet."""
+"""Footprints of road users (rectangles on the road), and the time at which two of them meet."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -11,16 +11,19 @@ from skope.types import Array
 
 UNIT_CORNERS: Final = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 _NODE_M: Final = 0.3
-"""A path has a node wherever its road user has got so much farther: places that jitter make it no longer."""
+"""Minimum distance between nodes of a path, metres. Jitter of positions therefore does not lengthen the path."""
 
 
 def footprint_corners(place: Array, facing: Array, size: tuple[float, float]) -> Array:
-    """(..., 4, 2) corners of rectangles.
+    """Return the corners of rectangles.
 
     Args:
-        place: (..., 2) middles, metres.
-        facing: (..., 2) unit vectors.
+        place: (..., 2) centres, metres.
+        facing: (..., 2) unit vectors along the length.
         size: Length and width, metres.
+
+    Returns:
+        (..., 4, 2) corners, metres.
     """
     across = np.stack([-facing[..., 1], facing[..., 0]], axis=-1)
     offsets = UNIT_CORNERS * size
@@ -29,15 +32,19 @@ def footprint_corners(place: Array, facing: Array, size: tuple[float, float]) ->
 
 
 def meeting(one: Array, velocity: Array, other: Array, other_velocity: Array) -> tuple[Array, Array]:
-    """From when to when rectangles that move straight on overlap: seconds from now, begin > end where they never do.
+    """Return the period in which two rectangles with constant velocities overlap.
 
-    By the separating axes of their sides: they overlap when their shadows do on all of them.
+    The method is that of separating axes: rectangles overlap if their projections on the directions of all sides
+    overlap.
 
     Args:
-        one: (..., 4, 2) corners.
-        velocity: (..., 2) m/s.
-        other: (..., 4, 2) corners of the other one.
-        other_velocity: (..., 2) m/s.
+        one: (..., 4, 2) corners of the first rectangle.
+        velocity: (..., 2) its velocity, m/s.
+        other: (..., 4, 2) corners of the second rectangle.
+        other_velocity: (..., 2) its velocity, m/s.
+
+    Returns:
+        (...,) start and (...,) end of the overlap, seconds from now. Start > end if they never overlap.
     """
     away = other.mean(axis=-2) - one.mean(axis=-2)
     rate_xy = other_velocity - velocity
@@ -56,22 +63,22 @@ def meeting(one: Array, velocity: Array, other: Array, other_velocity: Array) ->
 
 
 def _dot(a: Array, b: Array) -> Array:
-    """(...,) products of vectors (..., 2); faster than einsum on so short ones."""
+    """Return (...,) dot products of vectors (..., 2). This is faster than einsum for two components."""
     return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1])
 
 
 def overlap(one: Array, other: Array) -> NDArray[np.bool_]:
-    """(...,) whether rectangles (..., 4, 2) overlap or touch."""
+    """Return (...,) whether rectangles (..., 4, 2) overlap or touch."""
     still = np.zeros((*one.shape[:-2], 2))
     begin, end = meeting(one, still, other, still)
     return np.asarray(begin <= end)
 
 
 class FootprintPath:
-    """A trajectory at the moments of a clock that all share, and its way by length."""
+    """Track resampled at times that all tracks have in common, with its path by travelled distance."""
 
     def __init__(self, trajectory: Track, step_s: float) -> None:
-        """`step_s`: seconds from one moment to the next; the moments are its multiples."""
+        """Resample a track at the multiples of `step_s`, seconds."""
         times = trajectory.times_s
         self.trajectory, self.size = trajectory, trajectory.size
         first, last = int(np.ceil(times[0] / step_s - 1e-9)), int(np.floor(times[-1] / step_s + 1e-9))
@@ -90,13 +97,13 @@ class FootprintPath:
         return self._radius
 
     def at(self, times_s: Array) -> tuple[Array, Array]:
-        """Places and unit vectors (..., 2) where the front points, at times (...,)."""
+        """Return positions (..., 2) and unit vectors (..., 2) to the front at times (...,)."""
         place = self.trajectory.at(self.trajectory.xy, times_s)
         facing = self.trajectory.at(self.trajectory.facing, times_s)
         return place, facing / np.maximum(np.linalg.norm(facing, axis=-1, keepdims=True), 1e-9)
 
     def _by_length(self) -> tuple[Array, Array, Array, Array]:
-        """Ticks (N,) of the nodes, and lengths, places and facings of these and of the end, prolonged straight on."""
+        """Return ticks (N,) of the nodes, and distances, positions and headings of the nodes and of a straight end."""
         rows = [0] if len(self.ticks) else []
         for i in range(1, len(self.ticks)):
             if np.hypot(*(self.place[i] - self.place[rows[-1]])) >= _NODE_M:
@@ -109,11 +116,11 @@ class FootprintPath:
         return ticks, lengths, places, facings
 
     def ahead(self, rows: NDArray[np.intp], metres: Array) -> tuple[Array, Array]:
-        """Places and facings (..., 2) when it has gone so many metres (...,) on from the moments `rows` (...,)."""
+        """Return positions and headings (..., 2) after travelling `metres` (...,) from the times of `rows` (...,)."""
         _, lengths, places, facings = self._nodes
         along = self.along[rows] + metres
         at = np.stack([np.interp(along, lengths, places[:, k]) for k in (0, 1)], axis=-1)
-        # Between nodes it stands a little beside the straight way from one to the next.
+        # Between nodes the position is slightly beside the straight line from node to node.
         here = np.stack([np.interp(self.along[rows], lengths, places[:, k]) for k in (0, 1)], axis=-1)
         facing = np.stack([np.interp(along, lengths, facings[:, k]) for k in (0, 1)], axis=-1)
         norm = np.maximum(np.linalg.norm(facing, axis=-1, keepdims=True), 1e-9)
@@ -121,6 +128,6 @@ class FootprintPath:
 
 
 def footprint_paths(trajectories: Sequence[Track], step_s: float) -> list[FootprintPath]:
-    """The paths of those who are seen at two moments and more."""
+    """Return the paths of tracks with at least two sampled times."""
     made = [FootprintPath(one, step_s) for one in trajectories if one.times_s[-1] - one.times_s[0] >= 2 * step_s]
     return [one for one in made if len(one.ticks) > 1]

@@ -18,10 +18,11 @@ from skope.traffic.observation import Observation
 
 @dataclass(frozen=True)
 class CountLimits:
-    """Shares from which counts are complete and classes known."""
+    """Minimum shares for complete counts and known classes."""
 
     known_share: float = 0.5
-    """Minimum share of the vehicles at a gate and direction whose class is known, for the others to take their mean."""
+    """Minimum share of vehicles with a known class at a gate and direction. Below it there are no passenger-car
+    equivalents."""
     observed_share: float = 0.999
     """Fraction of an interval that must be observed for its count to be complete."""
 
@@ -30,9 +31,9 @@ COUNT_LIMITS: Final = CountLimits()
 
 
 def pce_factors(crossings: Sequence[GateCrossing], settings: TrafficSettings) -> dict[str, float] | None:
-    """Passenger-car equivalent of each class at one gate and direction.
+    """Return the passenger-car equivalent of each class at one gate and direction.
 
-    A vehicle of class unknown gets the mean factor of the vehicles (car, van, lorry, bus) whose class is known there.
+    A vehicle of class unknown gets the mean factor of the vehicles with a known class (car, van, lorry, bus) there.
 
     Args:
         crossings: All crossings of the gate and direction that are counted, over the whole footage.
@@ -53,11 +54,11 @@ def pce_factors(crossings: Sequence[GateCrossing], settings: TrafficSettings) ->
 
 
 def passenger_cars(crossings: Sequence[GateCrossing], factors: Mapping[str, float] | None) -> float | None:
-    """Sum of the passenger-car equivalents of crossings, to three decimals; None without factors.
+    """Return the sum of the passenger-car equivalents of crossings, to three decimals; None without factors.
 
     Args:
-        crossings: The crossings, of one gate and direction.
-        factors: What `pce_factors` returns for them.
+        crossings: Crossings of one gate and direction.
+        factors: Result of `pce_factors` for this gate and direction.
     """
     return None if factors is None else round(sum(factors[one.trajectory.class_name] for one in crossings), 3)
 
@@ -67,7 +68,7 @@ ALL_CLASSES: Final = "all"
 
 @dataclass(frozen=True, kw_only=True)
 class Count:
-    """Number of a kind that crossed a gate in an interval."""
+    """Number of road users of a class, or in a lane, that crossed a gate in an interval."""
 
     interval: ClockInterval
     observed_s: float
@@ -75,26 +76,26 @@ class Count:
     gate: str
     direction: str
     lane: str
-    """A lane's name, "" for who is in none, or `ALL_CLASSES`."""
+    """Name of a lane, "" for road users in no lane, or `ALL_CLASSES`."""
     class_name: str
-    """A class, `VEHICLE_CATEGORY` for those on more than two wheels, or `ALL_CLASSES`."""
+    """A class, `VEHICLE_CATEGORY` for vehicles with more than two wheels, or `ALL_CLASSES`."""
     count: int | None
-    """None: nothing was observed."""
+    """Number of counted crossings; None if nothing was observed."""
     expected: CountInterval | None
     """90% interval of the true number in the observed time. None if nothing was observed, no road user was ever seen
     near the gate, more vehicles are lost at it than cross it, or for class `unknown`."""
     pce: float | None = None
-    """Passenger-car equivalents of those counted. None for rows of one class or of vehicles, if nothing was observed,
-    or if too few vehicles at the gate have a known class."""
+    """Passenger-car equivalents of the counted road users. None for rows of one class or of vehicles, if nothing was
+    observed, or if too few vehicles at the gate have a known class."""
 
     @property
     def observed(self) -> str:
-        """Whether the interval was observed: all, part or nothing."""
+        """Observed part of the interval: "full", "partial" or "none"."""
         return observed_word(self.interval, self.observed_s)
 
 
 def observed_word(interval: ClockInterval, observed_s: float) -> str:
-    """How much of an interval was observed: "full", "partial" or "none"."""
+    """Return how much of an interval was observed: "full", "partial" or "none"."""
     if observed_s <= 0:
         return "none"
     return "full" if observed_s >= COUNT_LIMITS.observed_share * (interval.end_s - interval.begin_s) else "partial"
@@ -111,19 +112,20 @@ def interval_counts(
     *,
     by_class: bool = True,
 ) -> list[Count]:
-    """Count for each interval, gate and direction: all, vehicles, each class, and each lane.
+    """Count crossings for each interval, gate and direction: all, vehicles, each class and each lane.
 
-    Nothing counted is 0; nothing observed has no count. Vehicles have rows of their own where others are counted too.
+    A count is 0 if nothing crossed, and None if nothing was observed. Vehicles have separate rows if other classes are
+    counted too.
 
     Args:
-        crossings: Those that are counted.
+        crossings: The crossings that are counted.
         gates: All gates.
-        lanes: Names of all lanes; a gate has rows of those that anybody crosses it in.
+        lanes: Names of all lanes. A gate has rows only for lanes in which it is crossed.
         intervals: The intervals.
-        observation: When was observed.
+        observation: The observed times.
         settings: The classes that are counted.
-        unseen: Who may have crossed and is not counted.
-        by_class: Make rows of single classes too.
+        unseen: Road users that may have crossed and are not counted.
+        by_class: Whether to add rows for single classes.
     """
     out = []
     factors = {
@@ -170,7 +172,7 @@ def interval_counts(
 
 
 def _kinds(lanes: Sequence[str], settings: TrafficSettings, *, by_class: bool) -> Iterator[tuple[str, str]]:
-    """The lane and class of each row."""
+    """Yield the lane and class of each row."""
     for name in row_classes(settings):
         yield ALL_CLASSES, name
     if by_class:
@@ -182,13 +184,13 @@ def _kinds(lanes: Sequence[str], settings: TrafficSettings, *, by_class: bool) -
 
 
 def row_classes(settings: TrafficSettings) -> tuple[str, ...]:
-    """`ALL_CLASSES`, and `VEHICLE_CATEGORY` where vehicles and others are counted."""
+    """Return `ALL_CLASSES`, and `VEHICLE_CATEGORY` if both vehicles and other classes are counted."""
     mixed = not OF_VEHICLES.isdisjoint(settings.classes) and not OF_VEHICLES.issuperset(settings.classes)
     return (ALL_CLASSES, VEHICLE_CATEGORY) if mixed else (ALL_CLASSES,)
 
 
 def classes_of(class_name: str, settings: TrafficSettings) -> frozenset[str]:
-    """The classes that a row is of."""
+    """Return the classes that a row includes."""
     if class_name == VEHICLE_CATEGORY:
         return OF_VEHICLES & set(settings.classes)
     return frozenset(settings.classes) if class_name == ALL_CLASSES else frozenset({class_name})
@@ -199,7 +201,7 @@ def _number(crossings: Sequence[GateCrossing], lane: str, classes: Collection[st
 
 
 def is_in_row(crossing: GateCrossing, lane: str, classes: Collection[str]) -> bool:
-    """Whether a crossing is counted in a row of a lane (or `ALL_CLASSES`) and classes."""
+    """Return whether a crossing is counted in a row of a lane (or `ALL_CLASSES`) and classes."""
     return crossing.counts and lane in (ALL_CLASSES, crossing.lane) and crossing.trajectory.class_name in classes
 
 
@@ -211,10 +213,12 @@ def row_interval(
     lane: str,
     classes: Collection[str],
 ) -> CountInterval | None:
-    """The interval of the true number of a row at a gate, with all that is known of what may have been missed.
+    """Return the interval of the true number of a row at a gate.
+
+    It includes road users that may have been missed, manual counts, and other possible cameras.
 
     Args:
-        crossings: Of the gate, direction and interval, also those that are not counted.
+        crossings: Crossings of the gate, direction and interval, including those that are not counted.
         unseen: Road users that may have been missed.
         side: Name of the gate, and direction.
         interval: The interval.
@@ -222,7 +226,7 @@ def row_interval(
         classes: The classes of the row.
 
     Returns:
-        The interval; None as in `expected`.
+        The interval; None in the cases of `expected`.
     """
     most = partial(unseen.most, *side, interval)
     count = sum(is_in_row(one, lane, classes) for one in crossings)
@@ -249,18 +253,18 @@ def expected(
     classes: Collection[str],
     shifts: Sequence[int] = (),
 ) -> CountInterval | None:
-    """The interval of the true number of a row, of classes, in a lane or in all.
+    """Return the interval of the true number of a row of classes, in one lane or in all lanes.
 
     Args:
-        crossings: Of the gate, direction and interval, also those that are not counted.
+        crossings: Crossings of the gate, direction and interval, including those that are not counted.
         kinds: The miss rates at the gate.
-        most: Maps classes to the number of lost tracks of them that may have crossed.
+        most: Maps classes to the number of their lost tracks that may have crossed.
         lane: Name of a lane, or `ALL_CLASSES`.
         classes: The classes of the row.
         shifts: Differences of the row's count under other cameras (`CountDistribution.shifts`).
 
     Returns:
-        The interval; None: no road user is of the class in truth, or the gate sees too few of them.
+        The interval. None for class `unknown`, or if too few of the road users are detected at the gate.
     """
     distribution = distribution_of(crossings, kinds, most, lane, classes, shifts)
     return None if distribution is None else distribution.interval()
@@ -274,7 +278,7 @@ def distribution_of(
     classes: Collection[str],
     shifts: Sequence[int] = (),
 ) -> CountDistribution | None:
-    """The count of a row with its errors; arguments and None as in `expected`."""
+    """Return the count of a row with its errors; arguments and None as in `expected`."""
     errors, count = [], 0
     for kind in kinds:
         named = kind.classes - {UNKNOWN_CLASS}
@@ -302,7 +306,7 @@ def _in_lane(crossing: GateCrossing, lane: str) -> float:
         return 1.0
     if crossing.lane == lane:
         return crossing.lane_probability
-    # Outside its lane it is in the one on either side, or in none: each has half of the rest.
+    # If the lane is wrong, a lane on either side or none is right: each has half of the remaining probability.
     return (1 - crossing.lane_probability) / 2 if crossing.lane else 0.0
 
 

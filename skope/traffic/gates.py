@@ -1,4 +1,4 @@
-"""Crossings of gates: one for each time that a road user goes from one side to the other."""
+"""Gate crossings: one event each time that a road user moves from one side of a gate to the other."""
 
 import math
 from collections.abc import Sequence
@@ -25,97 +25,102 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class GateLimits:
-    """Limits of crossings."""
+    """Settings for finding crossings."""
 
     camera_draws: int = 24
-    """Number of other cameras under which surveyed gates are counted again."""
+    """Number of cameras drawn from the calibration covariance. Surveyed gates are counted again under each of them."""
     gate_spots: int = 9
-    """Number of points of a surveyed gate that are projected."""
+    """Number of points on a surveyed gate that are projected."""
     seed: int = 0
-    """Seed of these cameras."""
+    """Random seed of the camera draws."""
     slowest_mps: float = 0.05
     """Speed along the normal below which a position does not refine the time, m/s."""
     hysteresis_sigmas: float = 3.0
-    """Least hysteresis, in standard deviations of a position along the normal. A standing vehicle jitters by that."""
+    """Minimum hysteresis, in standard deviations of a position along the gate's normal. It covers the position noise
+    of a stopped vehicle."""
     near_m: float = 5.0
     """Positions within this distance of a gate set its hysteresis, metres."""
     vehicle_leave: float = 2.0
-    """A vehicle has left a line at this many times the least travel from it; other road users at one times it."""
+    """Distance at which a vehicle has left a line, in multiples of the least travel. Other road users: 1."""
     beside_probability: float = 0.05
-    """A crossing with a lower probability of being within the gate passes beside its end, and the reverse."""
+    """Probability limit for the ends of a gate. A crossing outside the gate is kept only if its probability of being
+    within the gate is above this limit. If that probability is below 1 minus this limit, the crossing is flagged
+    "beside"."""
 
 
 GATE_LIMITS: Final = GateLimits()
 
 
 _ALONG_M: Final = {"bus": 0.6, "bicycle": 0.6, "lorry": 0.15}
-"""By so much the middles of some bodies are off along the way besides, all the way, one standard deviation: of 16, 36
-and 12 in generated clips by 0.2, 0.5 and 0 m in the median, and by 0.54, 0.45 and 0.17 m from there."""
+"""Additional standard deviation of the body's centre along its path, by class, metres. The error is constant over a
+track. Measured on 16 buses, 36 bicycles and 12 lorries of generated clips: median error 0.2, 0.5 and 0 m; spread 0.54,
+0.45 and 0.17 m."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GateCrossing:
-    """A road user crosses a gate."""
+    """Crossing of a gate by a road user."""
 
     trajectory: Track
     gate: str
     direction: int
-    """0 from the gate's left to its right as it is drawn, 1 back."""
+    """0: from the left of the gate, as it is drawn, to its right. 1: from right to left."""
     direction_name: str
-    """Name of that direction; "1" and "2" where the user gives none."""
+    """Name of that direction; "1" and "2" if the user gives none."""
     time_s: float
-    """Time at which the body's middle crosses, seconds of the footage."""
+    """Time at which the body's centre crosses, seconds of the footage."""
     sigma_s: float
-    """Standard deviation of the times, from how well the places are known."""
+    """Standard deviation of `time_s`, from the uncertainty of the positions, seconds."""
     front_s: float
-    """Time at which the front crosses; NaN where the track does not show it."""
+    """Time at which the front crosses, seconds of the footage; NaN if not available."""
     rear_s: float
-    """Time at which the rear does; NaN likewise."""
+    """Time at which the rear crosses, seconds of the footage; NaN if not available."""
     place: Array
-    """(2,) where, metres."""
+    """(2,) position of the crossing, metres."""
     speed: float
-    """m/s."""
+    """Speed at the crossing, m/s."""
     speed_sigma: float
+    """Standard deviation of `speed`, m/s."""
     lane: str
-    """Name of the lane; empty where it is in none."""
+    """Name of the lane; empty if the crossing is in none."""
     lane_probability: float
-    """Probability that it is right."""
+    """Probability that `lane` is right."""
     probability: float
-    """Probability that this happened, once."""
+    """Probability that the crossing happened within the gate and is counted once."""
     doubt: str
-    """Reason for doubt: begins or ends, where the track does so on the gate; beside, where it may have gone past the
-    gate's end, or through it; else empty."""
+    """Flags, separated by spaces. "begins" or "ends": the track begins or ends on the gate. "beside": it is uncertain
+    whether the road user passes the gate's end inside or outside. Empty: no doubt."""
     counts: bool
-    """Whether it is counted: between the ends of the gate, by a track that more probably crosses there than not. One
-    that ends on the gate is counted, and is in doubt."""
+    """Whether the crossing is counted. It must lie between the gate's ends and be real with a probability of at least
+    0.5. A track that ends on the gate can count, with a flag in `doubt`."""
 
     @cached_property
     def end_sigma_s(self) -> float:
-        """Standard deviation of the times of front and rear, seconds."""
+        """Standard deviation of `front_s` and `rear_s`, seconds."""
         return math.hypot(self.sigma_s, VEHICLE_LENGTH_SIGMA_M / 2 / max(self.speed, GATE_LIMITS.slowest_mps))
 
 
 def direction_names(gate: Gate) -> tuple[str, str]:
-    """Names of crossings from left to right, and back."""
+    """Return the names of the directions from left to right and from right to left."""
     return gate.directions or ("1", "2")
 
 
 def gates_on_road(gates: Sequence[Gate], observation: Observation | None = None) -> tuple[Gate, ...]:
-    """The gates with their lines among positions in metres; gates without one are left out.
+    """Return the gates with their lines in metres, without gates that have no line.
 
-    A gate that was drawn in the image keeps its pixels: its line is where the recording's own camera sees them on the
-    road. The camera's error then moves tracks and line alike, and decides no crossing. Else the line is the gate's own.
+    The line of a gate drawn in the image is the projection of its pixels onto the road by the recording's camera. The
+    camera's error then shifts tracks and line together and affects no crossing. Other gates keep their own line.
 
     Args:
         gates: The gates of the site.
-        observation: The recording, with its camera and road; None: every gate keeps its line.
+        observation: The recording with its camera and road; None: every gate keeps its line.
     """
     lines = ((gate, _line_of(gate, observation)) for gate in gates)
     return tuple(replace(gate, line=line) for gate, line in lines if line)
 
 
 def _line_of(gate: Gate, observation: Observation | None) -> Outline:
-    """The line of a gate on the road; empty where it has none, as where its pixels lie above the horizon."""
+    """Return the line of a gate on the road; empty if there is none (for example, pixels above the horizon)."""
     if not gate.pixels or observation is None or observation.camera is None:
         return gate.line
     camera = observation.camera
@@ -127,18 +132,18 @@ def _line_of(gate: Gate, observation: Observation | None) -> Outline:
 
 
 def gates_of_other_cameras(gates: Sequence[Gate], observation: Observation) -> list[tuple[Gate, ...]]:
-    """The surveyed gates as they would lie among the tracks under other cameras that are equally probable.
+    """Return the surveyed gates relative to the tracks under cameras drawn from the calibration covariance.
 
-    A surveyed line is exact, and all tracks have the camera's error in common: the gate lies elsewhere among them, by
-    one shift for all road users.
+    A surveyed line is exact, but all tracks share the camera's error. The error therefore shifts the gate relative to
+    the tracks, in the same way for all road users.
 
     Args:
         gates: The gates, with lines in metres.
-        observation: The recording, with its camera and how well it is known.
+        observation: The recording with its camera and the covariance of that camera.
 
     Returns:
-        `GATE_LIMITS.camera_draws` times the gates that have no pixels; nothing where there are none, or the camera's
-        error is not known.
+        One tuple per draw (`GATE_LIMITS.camera_draws`) with the gates that have no pixels. Empty if there are no such
+        gates or the camera's error is not known.
     """
     surveyed = [gate for gate in gates if gate.line and not gate.pixels]
     known = observation.uncertainty
@@ -152,9 +157,9 @@ def gates_of_other_cameras(gates: Sequence[Gate], observation: Observation) -> l
 
 
 def _seen_by(gate: Gate, true: Camera, used: Camera, ground: Ground) -> Gate:
-    """The gate where tracks that were made with the camera `used` have it, if the camera `true` took the images.
+    """Return the gate in the coordinates of tracks that were located with the camera `used`.
 
-    Where one of its ends is not in view, it moves as the nearest point of the gate that is.
+    The images were taken with the camera `true`. An end that is not in view moves like the nearest visible point.
     """
     ends = np.array(gate.line)
     spots = ends[0] + np.linspace(0, 1, GATE_LIMITS.gate_spots)[:, None] * (ends[1] - ends[0])
@@ -169,12 +174,12 @@ def _seen_by(gate: Gate, true: Camera, used: Camera, ground: Ground) -> Gate:
 
 
 def gates_in_image(gates: Sequence[Gate]) -> tuple[Gate, ...]:
-    """The gates that have `pixels`, as lines among positions whose y is the negative image row."""
+    """Return the gates that have `pixels`, with lines in pixels (y is the negative image row)."""
     return tuple(replace(gate, line=tuple((u, -v) for u, v in gate.pixels)) for gate in gates if gate.pixels)
 
 
 def may_count(trajectory: Track, settings: TrafficSettings) -> bool:
-    """Whether who crosses a gate counts: a road user in traffic, of the classes that are counted."""
+    """Return whether crossings of a track can count: it is in traffic and its class is counted."""
     return is_in_traffic(trajectory) and trajectory.class_name in settings.classes
 
 
@@ -187,13 +192,15 @@ def gate_crossings(
     metres: bool = True,
     step_s: float | None = None,
 ) -> list[GateCrossing]:
-    """All crossings of all gates, in order of time; tracks that are not confirmed, or never moved, have none.
+    """Return all crossings of all gates, in order of time.
+
+    Tracks that are not confirmed or never moved have no crossings.
 
     Args:
         trajectories: All tracks.
         gates: All gates.
-        lanes: The lanes; in which one crosses is said.
-        settings: The classes that are counted, and how far somebody has to be seen on either side.
+        lanes: The lanes. Each crossing gets the name of its lane.
+        settings: The classes that are counted, the hysteresis and the least travel.
         metres: Whether positions are in metres; else in pixels.
         step_s: Usual time between positions in the footage, seconds. Default: that of `trajectories`.
     """
@@ -209,15 +216,20 @@ def gate_crossings(
 
 
 def _axis(gate: Gate) -> tuple[Array, Array]:
-    """(2,) a gate's first end, and the (2,) unit vector from there to the other one."""
+    """Return the (2,) first end of a gate and the (2,) unit vector from there to its second end."""
     start, end = np.array(gate.line)
     return start, (end - start) / np.linalg.norm(end - start)
 
 
 def signed_distances(gate: Gate, places: Array) -> tuple[Array, Array]:
-    """(M,) distances of places (M, 2) from the gate's line, positive to its left, and (M,) how far along it they lie.
+    """Return distances across and along a gate, in the unit of the positions.
 
-    Both in metres; along it counts from the first end.
+    Args:
+        gate: The gate.
+        places: (M, 2) positions.
+
+    Returns:
+        (M,) distances from the gate's line, positive to its left, and (M,) distances along it from its first end.
     """
     start, along = _axis(gate)
     away = places - start
@@ -236,7 +248,7 @@ def _of_one(
     leave = leaving_distance(trajectory, rule["least_travel"])
     for passage in line_crossings(signed, trajectory.times_s, **rule, leave=leave, places=trajectory.xy):
         at = float(trajectory.at(along, passage.time_s))
-        # Half-open along the gate too: of two gates that share an end, one counts.
+        # Half-open along the gate too: if two gates share an end, only one of them counts.
         inside = 0 <= at < length
         between = float(inside)
         if metres:
@@ -248,9 +260,9 @@ def _of_one(
 
 
 def _rule(trajectory: Track, gate: Gate, signed: Array, settings: TrafficSettings) -> dict[str, float]:
-    """Distances that it has to be seen on the other side, and to move: more where positions are noisier.
+    """Return the hysteresis and the least travel at a gate. Both grow with the noise of the positions.
 
-    Only noise lets a standing road user jitter across the line: what shifts the whole track does not.
+    Errors that shift the whole track are not included: they do not make a stopped road user jitter across the line.
     """
     near = trajectory.covariance[np.abs(signed) < GATE_LIMITS.near_m]
     normal = normal_of(gate)
@@ -260,26 +272,25 @@ def _rule(trajectory: Track, gate: Gate, signed: Array, settings: TrafficSetting
 
 
 def leaving_distance(trajectory: Track, least_travel: float) -> float:
-    """Distance that a road user goes between a crossing and its return for both to count.
+    """Return the distance that a road user must move between a crossing and its return for both to count.
 
-    A road user that stands on the line stays within it, although its position swings. It is about half a car's length;
-    who turns round or reverses goes farther.
+    The measured position of a road user that stops on the line drifts by less. A vehicle that turns round or reverses
+    moves farther.
 
     Args:
         trajectory: The road user.
-        least_travel: Distance of `TrafficSettings.least_travel_m`, or more where positions are noisier. The result has
-            its unit.
+        least_travel: `TrafficSettings.least_travel_m`, or more for noisier positions. The result has the same unit.
     """
     return least_travel * (GATE_LIMITS.vehicle_leave if trajectory.category == VEHICLE_CATEGORY else 1.0)
 
 
 def _sigma(direction: Array, covariance: Array) -> float:
-    """Standard deviation of a place in a direction, metres."""
+    """Return the standard deviation of a position along a unit vector, metres."""
     return math.sqrt(max(0.0, float(direction @ covariance @ direction)))
 
 
 def normal_of(gate: Gate) -> Array:
-    """(2,) unit vector to the left of the gate."""
+    """Return the (2,) unit normal of a gate, which points to its left."""
     _, along = _axis(gate)
     return np.array([-along[1], along[0]])
 
@@ -294,7 +305,7 @@ def _crossing(
     step_s: float,
     metres: bool,
 ) -> GateCrossing:
-    """A crossing; `ends` says whether it is between the gate's ends, and how probably."""
+    """Return a crossing. `ends`: whether it is between the gate's ends, and the probability of that."""
     inside, between = ends
     time_s = passage.time_s
     normal = normal_of(gate)
@@ -328,14 +339,16 @@ def _crossing(
 
 
 def _along_s(trajectory: Track, velocity: Array, *, metres: bool) -> float:
-    """By how much a crossing's time is off since the body's middle is off along its way, one standard deviation."""
+    """Return the standard deviation of a crossing's time due to the error of the body's centre along its path."""
     off = _ALONG_M.get(trajectory.class_name, 0.0) if metres else 0.0
     return off / max(float(np.linalg.norm(velocity)), GATE_LIMITS.slowest_mps)
 
 
 def _end_time(trajectory: Track, gate: Gate, places: Array, passage: LineCrossing, rule: dict[str, float]) -> float:
-    """Time at which the front or the rear (M, 2) crosses the gate's line in the same direction; NaN where that is not
-    seen."""
+    """Return the time at which the front or the rear, with positions (M, 2), crosses the gate's line.
+
+    Only crossings in the direction of `passage` are used. NaN if there is none.
+    """
     signed, _ = signed_distances(gate, places)
     times = [
         one.time_s

@@ -1,7 +1,7 @@
-"""Vehicles behind each other at a gate: headways, gaps, and how long the gate is occupied.
+"""Headways and gaps between vehicles at a gate, and occupancy of the gate.
 
-Definitions are those of the Highway Capacity Manual: headway from front to front, gap from rear to front, in seconds;
-occupancy is the share of time in which a vehicle is over the detector, here over the gate's line.
+The definitions are those of the Highway Capacity Manual. Headway is from front to front, gap from rear to front, in
+seconds. Occupancy is the share of time in which a vehicle is over the detector, here the gate's line.
 """
 
 import itertools
@@ -17,16 +17,16 @@ from skope.traffic.observation import Observation
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Headway:
-    """A vehicle crosses a gate behind another one."""
+    """Headway and gap between two consecutive vehicles at a gate."""
 
     leader: GateCrossing
     follower: GateCrossing
     headway_s: float
-    """From front to front, seconds; NaN where one of the two fronts is not seen to cross."""
+    """Time from front to front, seconds; NaN if the crossing of a front was not seen."""
     gap_s: float
-    """From rear to front, seconds; NaN likewise."""
+    """Time from rear to front, seconds; NaN if the crossing of the rear or the front was not seen."""
     sigma_s: float
-    """Standard deviation of both, seconds."""
+    """Standard deviation of `headway_s` and `gap_s`, seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,17 +37,20 @@ class Occupancy:
     gate: str
     direction: str
     lane: str
-    """Empty: of those in no lane; where no lanes are drawn, of the whole gate."""
+    """Name of the lane. Empty for vehicles in no lane; if the site has no lanes, for the whole gate."""
     observed_s: float
     occupied_s: float
     sigma_s: float
     """Standard deviation of `occupied_s`, seconds."""
     excluded_vehicles: int
-    """Vehicles whose front or rear was not seen to cross."""
+    """Number of excluded vehicles: the crossing of their front or rear was not seen."""
 
 
 def lane_streams(crossings: Sequence[GateCrossing]) -> Iterator[list[GateCrossing]]:
-    """The vehicles of each gate, direction and lane, by when their fronts cross; pedestrians are in none."""
+    """Yield the road users of each gate, direction and lane, in order of the crossing of their fronts.
+
+    Pedestrians are excluded.
+    """
 
     def key(one: GateCrossing) -> tuple[str, int, str]:
         return one.gate, one.direction, one.lane
@@ -58,7 +61,7 @@ def lane_streams(crossings: Sequence[GateCrossing]) -> Iterator[list[GateCrossin
 
 
 def headways(crossings: Sequence[GateCrossing], observation: Observation) -> list[Headway]:
-    """All headways between vehicles of which one follows the other, where all between them was observed."""
+    """Return the headways of consecutive vehicles, if the time between them was fully observed."""
     out = [
         Headway(
             leader=leader,
@@ -77,14 +80,14 @@ def headways(crossings: Sequence[GateCrossing], observation: Observation) -> lis
 def occupancies(
     crossings: Sequence[GateCrossing], intervals: Sequence[ClockInterval], observation: Observation
 ) -> list[Occupancy]:
-    """Occupancies of each gate, direction and lane that vehicles cross, in each interval that was observed in part.
+    """Return the occupancy of each gate, direction and lane in each interval that was observed at least in part.
 
-    Of vehicles alone: how long others are is not measured.
+    Only vehicles are included, because the length of other road users is not measured.
 
     Args:
         crossings: The crossings that are counted.
         intervals: The intervals.
-        observation: When was observed.
+        observation: The observed times.
     """
     out = []
     for own in lane_streams([one for one in crossings if one.trajectory.category == VEHICLE_CATEGORY]):
@@ -112,7 +115,7 @@ def occupancies(
 
 
 def _union(spans: Sequence[tuple[float, float]]) -> float:
-    """Seconds that lie in one of the spans at least."""
+    """Return the length of the union of time spans, seconds."""
     total, until = 0.0, -math.inf
     for begin, end in sorted(spans):
         total += max(0.0, end - max(begin, until))

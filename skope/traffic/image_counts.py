@@ -1,4 +1,4 @@
-"""Counts by gates in the image, where nothing gives metres: who crossed which, and nothing else."""
+"""Counts at gates in the image, for cameras without calibration: crossings and movements only."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -37,18 +37,18 @@ class ImageGateLimits:
     hysteresis_sigmas: float = 3.0
     """Hysteresis, in standard deviations of a box's foot."""
     row_groups: int = 12
-    """Number of groups of boxes, by the row of their foot, whose median heights give the size of vehicles in a row."""
+    """Number of groups of boxes, by image row of their foot. Their median heights give the size of vehicles by row."""
     fewest_boxes: int = 5 * row_groups
-    """Number of boxes below which they do not give it."""
+    """Minimum number of boxes for estimating the size of vehicles."""
     near_px: float = 50.0
-    """A road user this close to a gate shows that the gate is in view, pixels."""
+    """Distance from a gate within which a road user shows that the gate is in view, pixels."""
 
 
 IMAGE_GATES: Final = ImageGateLimits()
 
 NO_METRES: Final = (
-    "no metres: nothing calibrates the camera. Counts are of boxes' feet over gates in the image; speeds, headways, "
-    "queues, delays and conflicts are refused (`skope eval site` calibrates a camera)"
+    "no metres: the camera is not calibrated. Counts are of the feet of boxes at gates in the image; speeds, headways, "
+    "queues, delays and conflicts are not available (`skope eval site` calibrates a camera)"
 )
 
 
@@ -65,14 +65,14 @@ def count_in_image(
     start: datetime | None = None,
     manual_counts: Sequence[ManualCount] = (),
 ) -> TrafficReport:
-    """Counts and movements of tracks whose places are columns and negative rows of the image, pixels.
+    """Return counts and movements of tracks with positions in pixels (columns and negative rows of the image).
 
     Args:
         tracks: The tracks.
-        observation: When the camera has shown the view that the gates are drawn in.
-        site: Gates with `pixels` and the settings are used.
-        start: When the footage begins; None: as the site says.
-        manual_counts: What was counted by hand meanwhile.
+        observation: The times at which the camera had the view in which the gates are drawn.
+        site: The site; its gates with `pixels` and its settings are used.
+        start: Start time of the footage; None: that of the site.
+        manual_counts: Manual counts of the same footage.
     """
     settings = site.traffic
     gates = gates_in_image(site.gates)
@@ -134,10 +134,10 @@ def count_in_image(
 
 
 def _vehicle_px(tracks: Sequence[Track], gate: Gate) -> float | None:
-    """Height that vehicles have at a gate, pixels; None if too few boxes tell it.
+    """Return the usual height of vehicle boxes at a gate, pixels; None for too few boxes.
 
-    On a road the height of boxes grows evenly with the row of their foot: a line through medians, which also holds in
-    rows where vehicles are too small to be detected.
+    On a road the height of boxes is a linear function of the row of their foot. The fitted line also gives the height
+    in rows where vehicles are too small to be detected.
     """
     vehicles = [one for one in tracks if one.category == VEHICLE_CATEGORY]
     rows = np.concatenate([np.zeros(0), *(-one.xy[:, 1] for one in vehicles)])
@@ -152,7 +152,7 @@ def _vehicle_px(tracks: Sequence[Track], gate: Gate) -> float | None:
 
 
 def _in_pixels(track: Track, settings: TrafficSettings) -> TrafficSettings:
-    """Settings of a crossing in pixels, by how exactly it is known where this track's box stands."""
+    """Return settings for crossings in pixels, with a hysteresis from the position error of the track's boxes."""
     sigma = float(np.median(np.sqrt(track.covariance[:, 0, 0])))
     return replace(
         settings,

@@ -1,4 +1,4 @@
-"""Lanes that road users drive in, and change."""
+"""Lanes of road users, and lane changes."""
 
 import itertools
 import math
@@ -20,14 +20,14 @@ class LaneLimits:
     """Limits of lane changes."""
 
     stay_s: float = 1.0
-    """Least time in a lane for a change to it, seconds."""
+    """Minimum time in each of the two lanes of a change, seconds."""
     between_s: float = 3.0
-    """Longest time between two lanes for a change from one to the other, seconds."""
+    """Maximum time between the two lanes of a change, seconds."""
     parallel_cos: float = math.cos(math.radians(45))
     """Cosine of the largest angle between lanes of one direction. Lanes at a larger angle are two arms of a
     junction."""
     no_lane: int = -1
-    """Number of no lane."""
+    """Index that means "in no lane"."""
 
 
 LANE_LIMITS: Final = LaneLimits()
@@ -35,21 +35,21 @@ LANE_LIMITS: Final = LaneLimits()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LaneChange:
-    """A road user goes from one lane to another beside it."""
+    """Change of a road user from one lane to another lane of the same direction."""
 
     trajectory: Track
     time_s: float
-    """Middle of the time between the two, seconds."""
+    """Middle of the time between the two lanes, seconds."""
     place: Array
-    """(2,) metres."""
+    """(2,) position at `time_s`, metres."""
     from_lane: str
     to_lane: str
     probability: float
-    """Probability that it was in the one before and in the other after."""
+    """Probability that the road user was in `from_lane` before and in `to_lane` after."""
 
 
 class LaneMap:
-    """Map of the lanes: tells which one a place is in."""
+    """Map of the lanes, which finds the lane of a position."""
 
     def __init__(self, lanes: Sequence[Lane]) -> None:
         self.lanes = tuple(lanes)
@@ -57,10 +57,16 @@ class LaneMap:
         self._half = np.array([(lane.width or DEFAULT_LANE_M) / 2 for lane in lanes])
 
     def indices(self, places: Array, least: float = 0.0) -> tuple[NDArray[np.int64], Array, Array]:
-        """The lane of each place (M, 2): index or -1, distance to its middle (M,), and (M, 2) where it leads there.
+        """Return the lane of each position.
 
-        `least` metres inside its edges are asked for. Where lanes overlap, that whose middle is nearest, in widths of
-        the lane.
+        If lanes overlap, the lane with the nearest centre line is taken, relative to the width of the lane.
+
+        Args:
+            places: (M, 2) positions, metres.
+            least: Minimum distance inside the edges of the lane, metres.
+
+        Returns:
+            (M,) index or -1, (M,) distance to the centre line (metres), and (M, 2) direction of the lane there.
         """
         if not self.lanes:
             count = len(places)
@@ -75,7 +81,7 @@ class LaneMap:
         return np.where(inside, best, LANE_LIMITS.no_lane), away[best, column], ways[best, column]
 
     def along(self, lane: int, places: Array) -> Array:
-        """(M,) how far along the lane of this index places (M, 2) lie, metres from its begin."""
+        """Return (M,) distances of positions (M, 2) along a lane, metres from its start."""
         line = self._lines[lane]
         step = np.diff(line, axis=0)
         length = np.linalg.norm(step, axis=1)
@@ -86,7 +92,7 @@ class LaneMap:
         return np.asarray((np.cumsum(length) - length)[k] + t[np.arange(len(places)), k])
 
     def lane_at(self, place: Array, covariance: Array) -> tuple[str, float]:
-        """Name of the lane at a place (2,), "" where there is none, and the probability that it is right."""
+        """Return the name of the lane at a position (2,), "" for none, and the probability that it is right."""
         index, away, way = self.indices(place[None])
         if index[0] == LANE_LIMITS.no_lane:
             return "", 1.0
@@ -98,14 +104,17 @@ class LaneMap:
 
 
 def _without_repeats(line: Array) -> Array:
-    """A line (N, 2) without points that are the one before; one of a single place lies in it twice, a bit apart."""
+    """Return a line (N, 2) without repeated points. A single point becomes two points 1 mm apart."""
     kept = line[np.concatenate([[True], (np.diff(line, axis=0) != 0).any(axis=1)])]
     return kept if len(kept) > 1 else np.stack([kept[0], kept[0] + [1e-3, 0]])
 
 
 def _from_line(line: Array, places: Array) -> tuple[Array, Array]:
-    """(M,) distances of places (M, 2) from a polyline, infinite before its begin and after its end, and (M, 2) its
-    direction at the nearest point."""
+    """Return distances from a polyline and its direction at the nearest point.
+
+    Returns:
+        (M,) distances of positions (M, 2), infinite before its start and after its end, and (M, 2) directions.
+    """
     a, b = line[:-1], line[1:]
     step = b - a
     length = np.linalg.norm(step, axis=1)
@@ -122,12 +131,12 @@ def _from_line(line: Array, places: Array) -> tuple[Array, Array]:
 
 
 def lane_changes(trajectories: Sequence[Track], lanes: LaneMap, hysteresis_m: float) -> list[LaneChange]:
-    """All changes of lane, in order of time.
+    """Return all lane changes, in order of time.
 
     Args:
-        trajectories: All tracks; those that are not confirmed, or never moved, change no lane.
-        lanes: The lanes; of one there are no changes.
-        hysteresis_m: How far inside a lane's edges somebody has to be seen, metres.
+        trajectories: All tracks. Tracks that are not confirmed or never moved have no lane changes.
+        lanes: The lanes. With a single lane there are no changes.
+        hysteresis_m: Minimum distance inside the edges of a lane for a road user to be in it, metres.
     """
     found: list[LaneChange] = []
     if len(lanes.lanes) > 1:

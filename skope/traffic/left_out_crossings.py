@@ -1,4 +1,5 @@
-"""Crossings that a gate does not count, with the reasons: why fewer are counted than tracks pass its line."""
+"""Crossings that a gate does not count, with the reason for each. They explain why tracks that pass a gate are missing
+from its count."""
 
 import math
 from collections.abc import Iterator
@@ -16,12 +17,12 @@ from skope.traffic.traffic_report import TrafficReport
 
 @dataclass(frozen=True)
 class LeftOutLimits:
-    """Limits from which a gate and direction is listed."""
+    """Limits for listing a gate and direction."""
 
     number: int = 3
-    """Smallest number of crossings that were left out."""
+    """Minimum number of uncounted crossings."""
     share: float = 0.1
-    """Share of its count above which a gate and direction is listed."""
+    """Uncounted crossings as a share of the count, above which a gate and direction is listed."""
 
 
 LEFT_OUT_LIMITS: Final = LeftOutLimits()
@@ -31,19 +32,19 @@ _IN_DOUBT: Final = {"begins": "the track begins at the gate", "ends": "the track
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOutCrossing:
-    """A crossing that is not counted, or one that a lost track may have made."""
+    """Crossing that is not counted, or possible crossing of a lost track."""
 
     time_s: float
-    """Of the crossing, seconds of the footage; of a lost track when it would have crossed at its last speed."""
+    """Time of the crossing, seconds of the footage. For a lost track: extrapolated at constant velocity."""
     track: int
     class_name: str
     reason: str
 
 
 def left_out_crossings(report: TrafficReport) -> dict[tuple[str, str], list[LeftOutCrossing]]:
-    """Gather the crossings that are not counted, by gate and name of the direction, in order of time.
+    """Return the crossings that are not counted, by gate and name of the direction, in order of time.
 
-    Only gates and directions with many of them are in it: at least three, and more than 10% of the count.
+    Only gates and directions with many of them are included: at least three, and more than 10% of the count.
     """
     found: dict[tuple[str, str], list[LeftOutCrossing]] = {}
     begin_s, end_s = report.observation.extent
@@ -62,7 +63,7 @@ def left_out_crossings(report: TrafficReport) -> dict[tuple[str, str], list[Left
 
 
 def _of_gate(report: TrafficReport, gate: Gate) -> Iterator[tuple[int, LeftOutCrossing]]:
-    """Directions and crossings that a gate does not count."""
+    """Yield the uncounted crossings of a gate with their directions."""
     explained = {crossing.trajectory.number for crossing in report.crossings if crossing.gate == gate.name}
     for crossing in report.unseen.doubtful:
         if crossing.gate == gate.name:
@@ -86,7 +87,7 @@ def _row(time_s: float, track: Track, reason: str) -> LeftOutCrossing:
 
 
 def _why_not_counted(crossing: GateCrossing, gate: Gate) -> str:
-    """The reason why `GateCrossing.counts` is false."""
+    """Return the reason why `GateCrossing.counts` is false."""
     _, along = signed_distances(gate, crossing.place[None])
     inside = 0 <= along[0] < math.dist(*gate.line)
     reasons = [
@@ -99,7 +100,7 @@ def _why_not_counted(crossing: GateCrossing, gate: Gate) -> str:
 
 
 def _passes(track: Track, gate: Gate) -> tuple[int, float] | None:
-    """Direction and time at which a track that ends on the other side passes the line; None if it does not."""
+    """Return direction and time of the last passage of a track that ends on the other side of the line; else None."""
     signed, along = signed_distances(gate, track.xy)
     changes = np.flatnonzero(np.diff(np.sign(signed)) != 0)
     if not len(changes) or signed[0] * signed[-1] >= 0:

@@ -1,9 +1,9 @@
-"""Vehicles by length: short, medium and long ones, with how sure each is in its bin.
+"""Counts of vehicles by length (short, medium, long), with the probability of each bin.
 
-How far lengths are off was measured on 13 generated clips of four sites by day, at night and in rain, of which
-everything is known (`scripts/research/traffic_scores.py`, 1205 tracks of vehicles that are 3.6 to 12 m long). Of cars
-and vans three of four are right to 2%, the others to 14 and 5%; of others half are to 3%, half to 9%; and of a few the
-body is mistaken for another one.
+The errors of lengths were measured on 13 generated clips with full ground truth: four sites by day, at night and in
+rain (`scripts/research/traffic_scores.py`, 1205 tracks of vehicles of 3.6 to 12 m). Three quarters of the cars and vans
+have a standard deviation of 2%; the others have 14% (cars) and 5.5% (vans). Half of the other vehicles have 3%, and
+nearly half 9%. For the remaining few vehicles the body type was mistaken.
 """
 
 import math
@@ -29,7 +29,7 @@ from skope.types import Array
 
 LENGTH_BINS: Final = ("short", "medium", "long")
 NO_BIN: Final = "unknown"
-"""Name of the bin of vehicles whose length is too uncertain."""
+"""Name of the bin of vehicles with a length that is too uncertain."""
 
 
 @dataclass(frozen=True)
@@ -37,16 +37,16 @@ class LengthModel:
     """Errors of lengths, and limits of length bins."""
 
     bin_probability: float = 0.8
-    """Probability from which a vehicle is counted in a bin."""
+    """Minimum probability for a vehicle to be counted in a bin."""
     longest_measured_m: float = 12.0
-    """Longest vehicle among those on which errors were measured, metres."""
+    """Length of the longest vehicle on which errors were measured, metres."""
     other_errors: tuple[tuple[float, float], tuple[float, float]] = ((0.5, 0.03), (0.46, 0.09))
-    """Shares of tracks with the standard deviation of their lengths' errors, relative. The rest may have any
-    length."""
+    """Share of tracks and relative standard deviation of their lengths, for classes other than car and van. The
+    remaining tracks may have any length."""
     longest_car_m: float = 6.2
-    """Longest car, metres. Large errors of cars are of short ones."""
+    """Upper limit of the length of a car, metres."""
     mistaken_m: tuple[float, float] = (3.0, 13.0)
-    """Lengths of vehicles whose body type was mistaken, metres."""
+    """Range of lengths of vehicles with a mistaken body type, metres."""
     possible_probability: float = 0.02
     """A lost vehicle may be in a bin if its track is in it with this probability."""
 
@@ -61,34 +61,36 @@ CLASS_ERRORS: Final = {"car": ((0.75, 0.02), (0.245, 0.14)), "van": ((0.75, 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class LengthCount:
-    """Number of vehicles of a length that crossed a gate in an interval."""
+    """Number of vehicles in a length bin that crossed a gate in an interval."""
 
     interval: ClockInterval
     observed: str
-    """Whether the interval was observed: all, part or nothing."""
+    """Observed part of the interval: "full", "partial" or "none"."""
     gate: str
     direction: str
     bin_name: str
-    """Of `LENGTH_BINS`, or `NO_BIN`."""
+    """One of `LENGTH_BINS`, or `NO_BIN`."""
     between_m: tuple[float, float] | None
-    """From which length to which, metres; None for `NO_BIN`."""
+    """Shortest and longest length of the bin, metres; None for `NO_BIN`."""
     count: int | None
-    """None: nothing was observed."""
+    """Number of counted vehicles; None if nothing was observed."""
     expected: CountInterval | None
-    """Between which numbers the truth is; None where counts of vehicles have none, for `NO_BIN`, which no vehicle is in
-    truth, and for bins of vehicles that are longer than `LENGTH_MODEL.longest_measured_m`."""
+    """90% interval of the true number. None if counts of vehicles have no interval there, for `NO_BIN`, and for bins
+    that begin at or above `LENGTH_MODEL.longest_measured_m`."""
 
 
 def bounds_m(limits_m: Sequence[float]) -> tuple[tuple[float, float], ...]:
-    """From which length to which each of `LENGTH_BINS` is, metres."""
+    """Return the shortest and longest length of each of `LENGTH_BINS`, metres."""
     first, second = limits_m
     return (0.0, first), (first, second), (second, math.inf)
 
 
 def length_sigma_m(trajectory: Track, common_scale_sigma: float | None) -> float:
-    """Standard deviation of a vehicle's length, metres.
+    """Return the standard deviation of a vehicle's length, metres.
 
-    `common_scale_sigma` is the relative error that the camera's calibration gives all lengths alike; None: not known.
+    Args:
+        trajectory: A vehicle with a measured length.
+        common_scale_sigma: Relative standard deviation of the scale, which all lengths share; None: not known.
     """
     assert trajectory.length is not None
     length = trajectory.length
@@ -100,27 +102,27 @@ def length_sigma_m(trajectory: Track, common_scale_sigma: float | None) -> float
 
 
 def bin_probabilities(trajectory: Track, limits_m: Sequence[float], common_scale_sigma: float | None) -> Array:
-    """(3,) how probable it is that a vehicle is short, medium and long.
+    """Return (3,) probabilities that a vehicle is short, medium and long.
 
     Args:
-        trajectory: A vehicle whose length was measured.
-        limits_m: From which lengths on vehicles are medium, and long, metres.
-        common_scale_sigma: As `length_sigma_m` takes it.
+        trajectory: A vehicle with a measured length.
+        limits_m: Shortest medium and shortest long vehicle, metres.
+        common_scale_sigma: As in `length_sigma_m`.
     """
     below = [_shorter_than(trajectory, limit, common_scale_sigma or 0.0) for limit in limits_m]
     return np.diff([0.0, *below, 1.0])
 
 
 def length_bin(trajectory: Track, limits_m: Sequence[float], common_scale_sigma: float | None) -> tuple[str, float]:
-    """The bin of a vehicle.
+    """Return the bin of a vehicle and the probability of the most probable bin.
 
     Args:
-        trajectory: A vehicle whose length was measured.
-        limits_m: From which lengths on vehicles are medium, and long, metres.
-        common_scale_sigma: As `length_sigma_m` takes it.
+        trajectory: A vehicle with a measured length.
+        limits_m: Shortest medium and shortest long vehicle, metres.
+        common_scale_sigma: As in `length_sigma_m`.
 
     Returns:
-        The most probable bin, or `NO_BIN` where its probability is less than `LENGTH_MODEL.bin_probability`; and that
+        The most probable bin, or `NO_BIN` if its probability is below `LENGTH_MODEL.bin_probability`; and that
         probability.
     """
     chances = bin_probabilities(trajectory, limits_m, common_scale_sigma)
@@ -128,13 +130,13 @@ def length_bin(trajectory: Track, limits_m: Sequence[float], common_scale_sigma:
 
 
 def _bin_of(chances: Array) -> str:
-    """The bin of somebody for whom each is so probable (3,), or `NO_BIN`."""
+    """Return the bin for the probabilities (3,) of a vehicle, or `NO_BIN`."""
     most = int(np.argmax(chances))
     return LENGTH_BINS[most] if chances[most] >= LENGTH_MODEL.bin_probability else NO_BIN
 
 
 def has_length(trajectory: Track) -> bool:
-    """Whether it is a vehicle whose length was measured: two-wheelers and people have none."""
+    """Return whether a track is a vehicle with a measured length. Two-wheelers and pedestrians have none."""
     return trajectory.category == VEHICLE_CATEGORY and trajectory.length is not None
 
 
@@ -146,18 +148,18 @@ def length_counts(
     settings: TrafficSettings,
     unseen: MissedCrossings,
 ) -> list[LengthCount]:
-    """Count for each interval, gate, direction and bin, and those who are in none.
+    """Count vehicles for each interval, gate, direction and bin, including `NO_BIN`.
 
     Args:
         crossings: The crossings that are counted.
         gates: All gates.
         intervals: The intervals.
-        observation: When was observed, and how uncertain the camera leaves all lengths.
+        observation: The observed times, and the scale error of the camera.
         settings: The limits of the bins, and the classes that are counted.
-        unseen: Who may have crossed and is not counted.
+        unseen: Road users that may have crossed and are not counted.
 
     Returns:
-        The counts; empty where no class of vehicles is counted.
+        The counts; empty if no class of vehicles is counted.
     """
     if OF_VEHICLES.isdisjoint(settings.classes):
         return []
@@ -210,7 +212,7 @@ def _between(
     limits_m: Sequence[float],
     unseen: MissedCrossings,
 ) -> tuple[CountInterval | None, ...]:
-    """The intervals of the bins at a gate, by the crossings there and by who was lost, and none of `NO_BIN`."""
+    """Return the intervals of the bins at a gate, from its crossings and lost tracks. `NO_BIN` has None."""
     (kind,) = (one for one in unseen.kinds_at(*side) if one.classes == OF_VEHICLES)
     most = partial(unseen.most, *side, interval, kind.classes)
     if kind.loses(sum(one.counts for one in own), most()):
@@ -245,7 +247,7 @@ def _rest(parts: Sequence[tuple[float, float]]) -> float:
 
 
 def _shorter_than(trajectory: Track, limit_m: float, common_scale_sigma: float) -> float:
-    """Probability that a vehicle is shorter than this in truth."""
+    """Return the probability that the true length of a vehicle is below a limit."""
     assert trajectory.length is not None
     parts = _errors(trajectory)
     low, high = LENGTH_MODEL.mistaken_m

@@ -1,14 +1,15 @@
-"""Passages from one side of a line to the other, to stay there: one each, however a track jitters on the way.
+"""Line crossings from a signed distance over time: one per change of side, without jitter.
 
-What is looked at is a signed distance over time: of a gate's line, or of a zone's border. A point that lies exactly on
-the line belongs to the side that it is about to reach, whichever that is (a half-open rule in time): who arrives at the
-line has crossed it, and a track that begins on it had crossed it before. The other side counts when it is reached by
-the hysteresis at two consecutive moments, so that a flicker of one frame is none, and not left again at once, as where
-a box jumps back and forth.
+The distance is that from a gate's line or from a zone's border. A point exactly on the line belongs to the side that
+the track reaches next (a half-open rule in time). A track that arrives at the line has crossed it, and a track that
+begins on the line crossed it before.
 
-Positions of a standing road user swing slowly, at times beyond their stated error. A stay between two passages is
-therefore none where the road user neither left the line nor came back elsewhere along it: `leave` says how far. Its two
-passages cancel each other, so that the net number of passages remains.
+The new side counts when the track is beyond the hysteresis at two consecutive positions. A flicker of one frame is
+therefore no crossing. A box that jumps across the line and back at once makes no crossing either.
+
+The measured position of a stopped road user drifts slowly, sometimes by more than its stated error. A stay on one side
+therefore counts only if the road user moved at least `leave` away from the line, or returned that far along it.
+Otherwise its two crossings cancel each other, which keeps the net number of crossings.
 """
 
 import itertools
@@ -22,25 +23,25 @@ from numpy.typing import NDArray
 from skope.types import Array
 
 _SHORTEST_STAY_S: Final = 0.5
-"""A road user that goes over and comes back within this, seconds, would have to brake and reverse harder than tyres
-can."""
+"""Shortest stay on one side of a line, seconds. A quicker return would need a harder braking and reversal than tyres
+allow."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LineCrossing:
-    """From one side to the other."""
+    """Change from one side of a line to the other."""
 
     came_from: int
     """Sign of the side before: 1 or -1."""
     time_s: float
-    """Time at which the line was crossed, between the moments on either side of it; of several times back and forth the
-    middle one."""
+    """Time of the crossing, seconds, interpolated between positions. If the track jitters across the line: the middle
+    one of the times of change."""
     spread_s: float
-    """Half the time from the first to the last of these."""
+    """Half the time between the first and the last of these changes, seconds."""
     begins: bool
-    """Whether the track begins so near to the line that the side before is in doubt."""
+    """Whether the side before is in doubt: the track begins too close to the line."""
     ends: bool
-    """Whether it ends so near to the line, or so soon after, that the side after is in doubt."""
+    """Whether the side after is in doubt: the track ends too close to the line, or at its first position beyond it."""
     depth: float
     """Distance from the line on the side that is in doubt, in the distance's unit; infinite without doubt."""
 
@@ -54,16 +55,16 @@ def line_crossings(
     leave: float = 0.0,
     places: Array | None = None,
 ) -> list[LineCrossing]:
-    """All passages of a signed distance (M,) at times (M,) from one sign to the other, in order.
+    """Return all crossings in order of time.
 
     Args:
-        signed: Distances, positive on one side and negative on the other.
-        times_s: Seconds, rising.
-        hysteresis: How far on the other side it has to be for a passage to count.
-        least_travel: How far it has to go from the farthest place before to the farthest place after, together.
-        leave: How far it has to go between there and back for both to count: away from the line, or from its last
-            place before there to its first place after back.
-        places: (M, 2) places, for the second of these. Default: only the distance from the line counts.
+        signed: (M,) distances, positive on one side and negative on the other.
+        times_s: (M,) times, seconds, increasing.
+        hysteresis: Distance beyond the line that the track must reach for a crossing to count.
+        least_travel: Minimum sum of the largest distances before and after the crossing.
+        leave: Minimum distance between a crossing and its return for both to count. It is measured from the line, or
+            between the last position before the crossing and the first one after the return.
+        places: (M, 2) positions, for the second of these measures. Default: only the distance from the line counts.
     """
     sign = _sides(signed)
     if (sign == sign[0]).all():
@@ -82,7 +83,7 @@ def line_crossings(
         out.append(
             LineCrossing(
                 came_from=came_from,
-                # Where it ends on the line, jittering, it has arrived when it was there first.
+                # A track that ends on the line, jittering, arrives at its first change of side.
                 time_s=times[len(times) // 2] if len(times) % 2 else times[0],
                 spread_s=(times[-1] - times[0]) / 2,
                 begins=begins,
@@ -94,7 +95,7 @@ def line_crossings(
 
 
 def _sides(signed: Array) -> NDArray[np.int64]:
-    """(M,) 1 or -1; what lies on the line is on the side that it has not come from."""
+    """Return the (M,) sides, 1 or -1. A point on the line is on the side opposite to the one before it."""
     sign = np.sign(signed).astype(np.int64)
     nonzero = np.flatnonzero(sign)
     if not len(nonzero):
@@ -107,7 +108,7 @@ def _sides(signed: Array) -> NDArray[np.int64]:
 def _turns(
     signed: Array, sign: NDArray[np.int64], times_s: Array, hysteresis: float, leave: float, places: Array | None
 ) -> Iterator[tuple[int, int, int]]:
-    """For each passage the last moment before and the first moment after that are sure, and the sign before."""
+    """Yield each crossing's last certain row before it, first certain row after it, and sign before it."""
     sure = np.where((np.abs(signed) >= hysteresis) & (signed != 0), sign, 0)
     beside = np.concatenate([[0], sure, [0]])
     alone = (beside[:-2] != sure) & (beside[2:] != sure)
@@ -122,8 +123,8 @@ def _turns(
     stays = _stays(moments, sides)
     end, side = stays[-1].last, stays[-1].side
     kept = _without_standing(stays, signed, leave, places)
-    # The track ends in doubt: having come to the line counts, unless it has gone back by the hysteresis since. Who
-    # stands on the line at the end does not go back over it.
+    # The track ends in doubt: reaching the line counts, unless the track has moved back by the hysteresis since. A road
+    # user that stops on the line at the end does not cross back over it.
     if (sign[end:] == -side).any() and side * signed[last] < hysteresis:
         returned = _without_standing([*stays, _Stay(-side, last, last)], signed, leave, places)
         kept = returned if stays[-1] in returned else kept
@@ -134,7 +135,7 @@ def _turns(
 
 @dataclass(frozen=True)
 class _Stay:
-    """A stay on one side, from its first to its last sure moment."""
+    """Stay on one side, from its first to its last certain row."""
 
     side: int
     first: int
@@ -147,7 +148,7 @@ def _stays(moments: NDArray[np.intp], sides: NDArray[np.int64]) -> list[_Stay]:
 
 
 def _without_standing(stays: list[_Stay], signed: Array, leave: float, places: Array | None) -> list[_Stay]:
-    """Stays without those in which the road user stood on the line, neither the first stay nor the last one."""
+    """Return the stays without those in which the road user stopped on the line. The first and last stay remain."""
     kept = stays[:1]
     for before, stay, after in zip(stays, stays[1:], stays[2:], strict=False):
         away = float((stay.side * signed[before.last : after.first + 1]).max())
@@ -161,11 +162,11 @@ def _without_standing(stays: list[_Stay], signed: Array, leave: float, places: A
 def _without_jumps(
     moments: NDArray[np.intp], sides: NDArray[np.int64], times_s: Array
 ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Sure moments and their sides, without those on a side that is left too soon for anything on wheels or feet."""
+    """Return the certain rows and their sides, without stays shorter than `_SHORTEST_STAY_S`."""
     while True:
         starts = np.flatnonzero(np.diff(sides)) + 1
         bounds = np.array([0, *starts, len(sides)])
-        for a, b in itertools.pairwise(bounds[1:-1]):  # not the first stay, nor the last one
+        for a, b in itertools.pairwise(bounds[1:-1]):  # all stays but the first and the last
             if times_s[moments[b]] - times_s[moments[a - 1]] < _SHORTEST_STAY_S:
                 keep = np.r_[0:a, b : len(sides)]
                 moments, sides = moments[keep], sides[keep]
@@ -175,7 +176,7 @@ def _without_jumps(
 
 
 def _times_of_change(signed: Array, sign: NDArray[np.int64], times_s: Array, a: int, b: int) -> list[float]:
-    """Times at which the line was crossed, either way, between the moments a and b."""
+    """Return the times at which the line was crossed, in either direction, between the rows a and b."""
     at = a + np.flatnonzero(np.diff(sign[a : b + 1]))
     share = signed[at] / (signed[at] - signed[at + 1])
     return list(map(float, times_s[at] + share * (times_s[at + 1] - times_s[at])))

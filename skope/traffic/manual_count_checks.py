@@ -1,9 +1,9 @@
-"""Manual counts beside automatic ones, and the miss rates of gates that they update.
+"""Comparison of manual and automatic counts, and the update of the miss rates of gates.
 
-A manual count at a gate reveals missed and false crossings. These are added to the Beta distributions of the gate's
-shares as observed trials: whole for the same gate and direction at another time, in part for its other direction, and
-hardly for other gates of the site (a power prior; Ibrahim and Chen, "Power prior distributions for regression models",
-2000).
+A manual count at a gate reveals missed and false crossings. They are added to the Beta distributions of the gate's
+shares as observed trials. The weight is highest for the same gate and direction, lower for the gate's other direction,
+and small for other gates of the site (a power prior; Ibrahim and Chen, "Power prior distributions for regression
+models", 2000).
 """
 
 import math
@@ -40,9 +40,9 @@ class ManualCountModel:
     same_site: float = 0.05
     """Weight of a manual count at another gate."""
     most_trials: float = 150.0
-    """Maximum number of trials that manual counts are worth. Rates change with light and weather."""
+    """Maximum number of trials from manual counts. The limit exists because rates change with light and weather."""
     real_trials: float = 8.0
-    """Number of trials that the usual share of real crossings is worth."""
+    """Number of trials that the usual share of real crossings counts as."""
     hour_s: float = 3600.0
     """Seconds per hour."""
     end_variance: float = 0.2
@@ -50,7 +50,7 @@ class ManualCountModel:
     relative_error: float = 0.02
     """Relative error of a manual count (chosen, not measured)."""
     contradiction: float = 0.001
-    """A manual count contradicts the expectation if fewer than this share would be as far from it."""
+    """A manual count contradicts the automatic count if its two-sided tail probability is below this value."""
 
 
 MANUAL_COUNTS: Final = ManualCountModel()
@@ -58,18 +58,18 @@ MANUAL_COUNTS: Final = ManualCountModel()
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CountEvidence:
-    """A manual count at a gate, and what skope saw there meanwhile."""
+    """Manual count at a gate, with the automatic count of the same time."""
 
     side: SignedGate
     errors: Mapping[int, CountErrors]
-    """By number of the miss-rate group: the crossings that were counted, with what may be wrong with them."""
+    """Automatically counted crossings with their possible errors, by index of the miss-rate group."""
     number: int
     """The manual count."""
 
 
 @dataclass
 class _Trials:
-    """Observed trials of the shares of one group: successes and failures."""
+    """Observed trials, successes and failures, for the shares of one group."""
 
     missed: float = 0.0
     seen: float = 0.0
@@ -85,14 +85,14 @@ class _Trials:
 def learnt_miss_rates(
     evidence: Sequence[CountEvidence], kinds: Mapping[SignedGate, Sequence[MissRateGroup]]
 ) -> dict[SignedGate, tuple[MissRateGroup, ...]]:
-    """The miss rates of each gate and direction, after the manual counts.
+    """Return the miss rates of each gate and direction, updated by the manual counts.
 
     Args:
-        evidence: The manual counts, without those that contradict what was seen.
-        kinds: The groups at each gate and direction that is asked for: as many at all.
+        evidence: The manual counts, without those that contradict the automatic count.
+        kinds: The groups at each gate and direction to update. Each gate must have the same number of groups.
 
     Returns:
-        The groups by gate and direction. Where somebody has counted, no interval is withheld.
+        The groups by gate and direction. A gate and direction with a manual count always has an interval.
     """
     told = [(one.side, _trials(one)) for one in evidence]
     out = {}
@@ -136,7 +136,7 @@ def _weight(side: SignedGate, other: SignedGate) -> float:
 
 
 def _trials(one: CountEvidence) -> dict[int, _Trials]:
-    """What a manual count says of each group: the difference is shared out as it was expected."""
+    """Return the trials of each group. The difference of the counts is divided in proportion to the expected errors."""
     counted = sum(len(errors.false) for errors in one.errors.values())
     lacking, excess = max(0, one.number - counted), max(0, counted - one.number)
     uncounted = {k: sum(errors.uncounted) for k, errors in one.errors.items()}
@@ -168,21 +168,21 @@ def _odds(share: Beta) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ManualCountComparison:
-    """A count by hand, and what skope says of the same gate, direction, classes and time."""
+    """Manual count with the automatic count of the same gate, direction, classes and time."""
 
     hand: ManualCount
     count: int
     """Number that skope counted."""
     near: bool
-    """Whether anybody was ever seen near the gate: of another one nothing is learnt."""
+    """Whether a road user was ever detected near the gate. If not, the manual count is not used."""
     expected: CountInterval | None
-    """Between which numbers the truth is by what was seen alone; None where counts have no interval either."""
+    """90% interval of the true number without the manual count; None if counts have no interval there."""
     contradicts: bool
-    """Whether the hand count is so far from what was seen that one of the two must be wrong."""
+    """Whether the manual count is too far from the automatic count for both to be right."""
 
     @property
     def geh(self) -> float:
-        """The GEH statistic of the two as vehicles per hour (Design Manual for Roads and Bridges, volume 12)."""
+        """GEH statistic of the two counts as hourly volumes (Design Manual for Roads and Bridges, volume 12)."""
         interval = self.hand.interval
         hourly = MANUAL_COUNTS.hour_s / (interval.end_s - interval.begin_s)
         together = self.count + self.hand.number
@@ -192,12 +192,12 @@ class ManualCountComparison:
 def manual_count_checks(
     hands: Sequence[ManualCount], crossings: Sequence[GateCrossing], unseen: MissedCrossings, settings: TrafficSettings
 ) -> list[ManualCountComparison]:
-    """Put each hand count beside what was counted.
+    """Compare each manual count with the automatic count.
 
     Args:
-        hands: The hand counts.
+        hands: The manual counts.
         crossings: All crossings that are counted.
-        unseen: Who may have crossed and is not counted.
+        unseen: Road users that may have crossed and are not counted.
         settings: The classes that are counted.
     """
     out = []
@@ -218,20 +218,22 @@ def manual_count_checks(
 
 
 def hand_lines(checks: Sequence[ManualCountComparison]) -> Iterator[str]:
-    """Hand counts that contradict what was seen, and those of which nothing was learnt, in sentences."""
+    """Yield a sentence for each manual count that contradicts the automatic count or is not used."""
     for one in checks:
         hand = one.hand
         ends = (hand.interval.begin or hand.interval.begin_s, hand.interval.end or hand.interval.end_s)
         begin, end = (f"{end:%H:%M:%S}" if isinstance(end, datetime) else f"{end:g} s" for end in ends)
         where = f"gate {hand.gate!r} ({hand.direction_name}), {hand.class_name} from {begin} to {end}"
         if not one.near:
-            yield f"{where}: {hand.number} counted by hand where nobody was ever seen: its counts stay unknown"
+            yield (
+                f"{where}: manual count {hand.number}, but no road user was ever detected near the gate: its counts "
+                "stay unknown"
+            )
         elif one.contradicts:
             yield (
-                f"{where}: {hand.number} counted by hand, {one.count} by skope, "
-                f"{in_words(one.expected)} expected: they contradict each other (gate, direction, class or clock of "
-                "the hand count, or a gate like no other); intervals at this gate hold both, others learn "
-                "nothing from it"
+                f"{where}: manual count {hand.number}, skope {one.count}, expected {in_words(one.expected)}: they "
+                "contradict each other; check gate, direction, class and clock of the manual count, or the gate is "
+                "unusual; intervals at this gate include both, and other gates do not use this manual count"
             )
 
 
@@ -242,18 +244,18 @@ def counts_adjusted_by_hand(
     gates: Sequence[Gate],
     settings: TrafficSettings,
 ) -> MissedCrossings:
-    """Learn from hand counts what gates miss.
+    """Update the miss rates of gates with manual counts.
 
     Args:
-        checks: The hand counts beside what was counted.
+        checks: The manual counts with the automatic counts.
         crossings: All crossings that are counted.
-        unseen: Who may have crossed and is not counted.
+        unseen: Road users that may have crossed and are not counted.
         gates: All gates.
         settings: The classes that are counted.
 
     Returns:
-        `unseen` with what is learnt of each gate and direction; counts at gates that nobody was ever seen near teach
-        nothing.
+        `unseen` with updated miss rates for each gate and direction. Manual counts at gates near which no road user
+        was ever detected are not used.
     """
     evidence = [
         CountEvidence(
@@ -269,7 +271,7 @@ def counts_adjusted_by_hand(
     doubted = [one for one in checks if one.contradicts]
     learnt = learnt_miss_rates(evidence, kinds) if evidence else dict[tuple[str, int], tuple[MissRateGroup, ...]]()
     for one in doubted:
-        # At this gate alone the contradicting count is believed too, beside what was seen.
+        # Only this gate uses the contradicting count. Its intervals also include the rates without it.
         side = (one.hand.gate, one.hand.direction)
         own = _errors(one.hand, _seen(one.hand, crossings, unseen), unseen, settings)
         believed = learnt_miss_rates([CountEvidence(side=side, errors=own, number=one.hand.number)], kinds)
@@ -278,7 +280,7 @@ def counts_adjusted_by_hand(
 
 
 def _seen(hand: ManualCount, crossings: Sequence[GateCrossing], unseen: MissedCrossings) -> list[GateCrossing]:
-    """The crossings of the gate and direction, doubtful ones too, while somebody counted."""
+    """Return the crossings of the gate and direction during a manual count, including doubtful ones."""
     side, interval = (hand.gate, hand.direction), hand.interval
     return [
         one
@@ -288,14 +290,14 @@ def _seen(hand: ManualCount, crossings: Sequence[GateCrossing], unseen: MissedCr
 
 
 def _most(hand: ManualCount, unseen: MissedCrossings) -> Callable[[Collection[str]], int]:
-    """Make a function of classes that gives how many more of them may have crossed meanwhile."""
+    """Return a function that maps classes to the number of lost road users that may have crossed during the count."""
     return partial(unseen.most, hand.gate, hand.direction, hand.interval)
 
 
 def _errors(
     hand: ManualCount, own: Sequence[GateCrossing], unseen: MissedCrossings, settings: TrafficSettings
 ) -> dict[int, CountErrors]:
-    """What may be wrong with the count beside a manual one, by the gate's miss-rate groups."""
+    """Return the possible errors of the automatic count, by index of the gate's miss-rate groups."""
     out = {}
     for k, kind in enumerate(unseen.kinds_at(hand.gate, hand.direction)):
         counted = hand.classes & set(settings.classes)
@@ -309,13 +311,13 @@ def _errors(
 def _distribution(
     hand: ManualCount, own: Sequence[GateCrossing], unseen: MissedCrossings, settings: TrafficSettings
 ) -> CountDistribution | None:
-    """skope's count beside a manual one, with its errors; None where counts have no interval either."""
+    """Return the automatic count with its errors; None if counts have no interval there."""
     kinds = unseen.kinds_at(hand.gate, hand.direction)
     return distribution_of(own, kinds, _most(hand, unseen), ALL_CLASSES, hand.classes & set(settings.classes))
 
 
 def _contradicts(number: int, found: CountDistribution) -> bool:
-    """Whether hardly any manual count would be as far away, by what was seen alone."""
+    """Return whether a manual count this far from the automatic count is improbable."""
     first, pmf = found.number_pmf()
     true = first + np.arange(len(pmf))
     sigma = np.hypot(math.sqrt(MANUAL_COUNTS.end_variance), MANUAL_COUNTS.relative_error * true)

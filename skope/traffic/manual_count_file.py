@@ -1,4 +1,4 @@
-"""A file of what was counted by hand: CSV with the columns gate, direction, class, begin, end, count."""
+"""File of manual counts: CSV with the columns gate, direction, class, begin, end, count."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,11 +24,11 @@ class ManualCountLimits:
     """Limits of a file of manual counts."""
 
     slack_s: float = 1.0
-    """Largest time outside the footage, seconds. People count by whole seconds or minutes."""
+    """Largest time outside the footage or unobserved, seconds. People count by whole seconds or minutes."""
     most_crossings: int = 100_000
     """Maximum count in a row."""
     shown_letters: int = 40
-    """Letters of a wrong value in a message."""
+    """Maximum number of characters of a wrong value in a message."""
 
 
 MANUAL_COUNT_LIMITS: Final = ManualCountLimits()
@@ -36,21 +36,21 @@ MANUAL_COUNT_LIMITS: Final = ManualCountLimits()
 
 @dataclass(frozen=True, kw_only=True)
 class ManualCount:
-    """Number that crossed a gate, counted by hand."""
+    """Manual count of crossings at a gate."""
 
     gate: str
     direction: int
-    """0 from the gate's left to its right as it is drawn, 1 back."""
+    """0: from the left of the gate, as it is drawn, to its right. 1: from right to left."""
     direction_name: str
     class_name: str
     """A class, `MOTOR_TRAFFIC` or `ALL_CLASSES`."""
     interval: ClockInterval
-    """Interval in which it was counted."""
+    """Period of the count."""
     number: int
 
     @property
     def classes(self) -> frozenset[str]:
-        """Classes that were counted."""
+        """Classes that the count includes."""
         return {ALL_CLASSES: frozenset(TRAFFIC_CLASSES), MOTOR_TRAFFIC: MOTOR_CLASSES}.get(
             self.class_name, frozenset({self.class_name})
         )
@@ -63,18 +63,18 @@ def read_manual_counts(
     start: datetime | None,
     observation: Observation,
 ) -> tuple[ManualCount, ...]:
-    """Read what was counted by hand.
+    """Read a file of manual counts.
 
     Args:
-        path: CSV. A class is one of the report's, `motor`, or all where it is empty; times are seconds of the footage,
-            times of the day, or days and times.
-        gates: The gates that count.
-        settings: Who is counted.
-        start: When the footage begins; None: not known, and times are seconds.
-        observation: When the road was observed.
+        path: CSV file. A class is one of the report's classes, `motor`, or empty for all. Times are seconds of the
+            footage, times of day, or dates with times.
+        gates: The gates that are counted.
+        settings: The classes that are counted.
+        start: Start of the footage; None: not known, and times must be seconds.
+        observation: The observed times.
 
     Raises:
-        UserError: The file cannot be read, or a value is wrong; the message names file, line and column.
+        UserError: The file cannot be read, or a value is wrong. The message names file, line and column.
     """
     names, rows = read_csv(path)
     if missing := [name for name in COUNT_COLUMNS if name not in names]:
@@ -84,11 +84,11 @@ def read_manual_counts(
         one = _manual_count(_Line(path, line, row), gates, settings, start, observation)
         for before, other in enumerate(found, start=2):
             if _overlap(one, other):
-                same = "holds the same" if one == other else "has the same gate, direction, some class and some time"
-                raise UserError(f"{path}: line {line}: {same} as line {before}: each crossing is to be counted once")
+                same = "repeats line" if one == other else "has a gate, direction, class and time in common with line"
+                raise UserError(f"{path}: line {line}: {same} {before}: count each crossing only once")
         found.append(one)
     if not found:
-        raise UserError(f"{path}: holds no count")
+        raise UserError(f"{path}: expected at least one count, found none")
     return tuple(found)
 
 
@@ -128,7 +128,7 @@ def _manual_count(
     if end_s <= begin_s:
         raise line.wrong("end", f"expected a time after begin ({line.text('begin')}), got {line.text('end')}")
     if end_s - begin_s - observation.seconds_in(begin_s, end_s) > MANUAL_COUNT_LIMITS.slack_s:
-        raise line.wrong("begin", "not all from here to end was observed: frames are missing, or the camera was moved")
+        raise line.wrong("begin", "the footage has a gap from begin to end: missing frames, or a moved camera")
     text = line.text("count")
     if not (
         text.isascii()
@@ -159,12 +159,12 @@ def _overlap(one: ManualCount, other: ManualCount) -> bool:
 
 
 def _after(start: datetime, seconds: float) -> datetime:
-    """The time that so many seconds of the footage later is."""
+    """Return the time at a second of the footage."""
     return (start.astimezone(UTC) + timedelta(seconds=seconds)).astimezone(start.tzinfo)
 
 
 def _seconds(line: _Line, column: str, start: datetime | None, observation: Observation) -> float:
-    """The second of the footage that a cell says, within the footage."""
+    """Return the second of the footage in a cell, limited to the footage."""
     if not len(observation.spans):
         raise line.wrong(column, "the footage has no frames")
     first, last = float(observation.spans[0, 0]), float(observation.spans[-1, 1])
@@ -186,14 +186,17 @@ def _seconds(line: _Line, column: str, start: datetime | None, observation: Obse
     if len(within) > 1:
         raise line.wrong(
             column,
-            f"{text!r:.{MANUAL_COUNT_LIMITS.shown_letters}} comes more than once in the footage: give the day "
-            f"and the offset",
+            f"{text!r:.{MANUAL_COUNT_LIMITS.shown_letters}} occurs more than once in the footage: add the date "
+            f"and the UTC offset",
         )
     return within[0]
 
 
 def _said_seconds(line: _Line, column: str, start: datetime | None, first: float, last: float) -> list[float]:
-    """All seconds that a cell may mean: of a time of the day one for each day, and two where it comes twice."""
+    """Return all seconds that a cell may mean.
+
+    A time of day has one value for each day, and two if the clocks change so that it occurs twice.
+    """
     text = line.text(column)
     try:
         seconds = float(text)
@@ -211,7 +214,7 @@ def _said_seconds(line: _Line, column: str, start: datetime | None, first: float
         )
     if start is None:
         raise line.wrong(
-            column, "expected seconds: neither start in the site nor --start-time says when the footage began"
+            column, "expected seconds: the start of the footage is not known (set start in the site, or --start-time)"
         )
     if isinstance(moment, datetime):
         moments = [moment]
@@ -225,12 +228,12 @@ def _said_seconds(line: _Line, column: str, start: datetime | None, first: float
 
 
 def _moment(text: str) -> datetime | time | None:
-    """A time of the day, or a day and time; None where a text is neither."""
+    """Return a time of day, or a date with time; None if the text is neither."""
     for parse in (time.fromisoformat, datetime.fromisoformat):
         try:
             moment = parse(text)
         except ValueError:
             continue
-        # A bare number, or a day alone, is no time.
+        # A bare number, or a date without a time, is no time.
         return moment if ":" in text else None
     return None

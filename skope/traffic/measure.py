@@ -1,4 +1,4 @@
-"""Everything that is measured of the traffic in a footage, in the order in which it follows from trajectories."""
+"""Measurement of the traffic in a footage: all stages from tracks to the report, in order."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -52,14 +52,14 @@ def measure(
     """Count and measure the traffic of a footage.
 
     Args:
-        tracks: The trajectories of one camera's footage.
-        observation: When it observed the road.
+        tracks: The tracks of one camera's footage.
+        observation: The observed times and the camera.
         site: Gates, zones, lanes and settings.
-        start: When the footage begins; None: as the site says.
-        manual_counts: What was counted by hand meanwhile.
-        broken: Whether a road user's track may have broken into several, which are joined. Those of a simulation are
-            whole.
-        recordings: The recordings, where tracks and observation are of several.
+        start: Start time of the footage; None: that of the site.
+        manual_counts: Manual counts of the same footage.
+        broken: Whether the track of a road user may be broken into several, which are then joined. False for simulated
+            tracks.
+        recordings: The recordings, if tracks and observation are of several.
     """
     settings = site.traffic
     begin = local_start(site) if start is None else start
@@ -117,7 +117,7 @@ def measure(
 def _crossings(
     tracks: Sequence[Track], site: "SiteParts", observation: Observation, lanes: LaneMap, step_s: float
 ) -> tuple[list[GateCrossing], dict[str, list[list[GateCrossing]]]]:
-    """All crossings by the camera of each recording; and of surveyed gates, by gate, those under other cameras."""
+    """Return all crossings, and by surveyed gate the crossings under each of the drawn cameras."""
     every: list[GateCrossing] = []
     others: dict[str, list[list[GateCrossing]]] = {}
     for number, recording in enumerate(observation.parts or (observation,), start=1):
@@ -141,21 +141,21 @@ def total_counts(
     settings: TrafficSettings,
     missed: MissedCrossings,
 ) -> tuple[Count, ...]:
-    """The counts of the whole footage, of each gate and direction, of all and of vehicles.
+    """Return counts of the whole footage for each gate and direction, of all road users and of vehicles.
 
     Args:
         crossed: The crossings that are counted.
         gates: All gates.
-        observation: When was observed.
+        observation: The observed times.
         settings: The classes that are counted.
-        missed: Who may have crossed and is not counted.
+        missed: Road users that may have crossed and are not counted.
     """
     whole = [whole_footage(observation)]
     return tuple(interval_counts(crossed, gates, (), whole, observation, settings, missed, by_class=False))
 
 
 def whole_footage(observation: Observation) -> ClockInterval:
-    """From the first to the last frame."""
+    """Return the interval from the first to the last frame."""
     spans = observation.spans
     begin_s, end_s = (float(spans[0, 0]), float(spans[-1, 1])) if len(spans) else (0.0, 0.0)
     return ClockInterval(begin_s=begin_s, end_s=end_s, begin=None, end=None)

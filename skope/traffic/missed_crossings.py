@@ -1,7 +1,6 @@
-"""Road users that may have crossed a gate uncounted: tracks lost before it or found behind it, doubtful crossings.
+"""Road users that may have crossed a gate uncounted: tracks lost before it, tracks found behind it, doubtful crossings.
 
-A gate where the camera loses vehicles counts few, and that few are seen there does not show in the count: only in the
-tracks around it.
+If the camera loses vehicles near a gate, its count is too low. Only the tracks around the gate show this.
 """
 
 import math
@@ -28,9 +27,9 @@ class MissedLimits:
     soon_s: float = 3.0
     """Time after the end, or before the start, of a track within which it may have crossed a gate, seconds."""
     slowest_mps: float = 0.5
-    """Speed along the gate's normal below which a lost road user was not about to cross it, m/s."""
+    """Speed along the gate's normal below which a lost road user was not about to cross the gate, m/s."""
     near_m: float = 10.0
-    """A gate within this distance of which nobody was detected may be out of view, metres."""
+    """A gate may be out of view if no road user was detected within this distance of it, metres."""
 
 
 MISSED_LIMITS: Final = MissedLimits()
@@ -38,16 +37,16 @@ MISSED_LIMITS: Final = MissedLimits()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LostTrack:
-    """A track that was lost before a gate, or found behind it."""
+    """Track that was lost before a gate or found behind it."""
 
     trajectory: Track
     gate: str
     direction: int
-    """In which it would have crossed, or has: 0 from the gate's left to its right."""
+    """Direction of the possible crossing. 0: from the gate's left to its right. 1: from right to left."""
     time_s: float
-    """Time of that at the speed that it had, seconds of the footage."""
+    """Time of the possible crossing at the last (or first) measured velocity, seconds of the footage."""
     begins: bool
-    """Whether the track begins behind the gate; else it ends before."""
+    """Whether the track begins behind the gate; otherwise it ends before the gate."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,25 +54,29 @@ class MissedCrossings:
     """Road users that a camera may have missed at gates."""
 
     vanished: tuple[LostTrack, ...] = ()
+    """Tracks that were lost before a gate or found behind it, in order of time."""
     doubtful: tuple[GateCrossing, ...] = ()
-    """Crossings that are not counted: more probably none than one, or just beside the gate."""
+    """Crossings that are not counted: their probability is below 0.5, or they are beside the gate."""
     kinds: Mapping[str, tuple[MissRateGroup, ...]] = field(default_factory=dict)
-    """Miss rates at each gate; at a gate that is not named, those of `miss_rate_groups(None)`."""
+    """Miss rates by gate. A gate without an entry has those of `miss_rate_groups(None)`."""
     gates: frozenset[str] = frozenset()
-    """Names of gates near which nobody was ever seen: whether somebody crossed them is not known."""
+    """Names of gates near which no road user was ever detected. Whether any crossed them is not known."""
     learnt: Mapping[tuple[str, int], tuple[MissRateGroup, ...]] = field(default_factory=dict)
-    """By gate and direction, the miss rates that manual counts lead to."""
+    """Miss rates after the manual counts, by gate and direction."""
     contradicted: frozenset[str] = frozenset()
-    """Names of gates at which a manual count contradicts what was seen."""
+    """Names of gates at which a manual count contradicts the automatic count."""
     other_cameras: Mapping[str, Sequence[Sequence[GateCrossing]]] = field(default_factory=dict)
-    """By surveyed gate, its crossings under each of several other cameras that are equally probable."""
+    """Crossings of each surveyed gate under each of the cameras drawn from the calibration covariance."""
 
     def kinds_at(self, gate: str, direction: int) -> tuple[MissRateGroup, ...]:
-        """Miss rates at a gate, in a direction."""
+        """Return the miss rates at a gate in a direction."""
         return self.learnt.get((gate, direction)) or self._prior(gate)
 
     def kind_sets(self, gate: str, direction: int) -> list[tuple[MissRateGroup, ...]]:
-        """Miss rates that are all possible: with and without manual counts, where these contradict what was seen."""
+        """Return the possible sets of miss rates at a gate in a direction.
+
+        The first set includes the manual counts. If they contradict the automatic count, a second set excludes them.
+        """
         found = [self.kinds_at(gate, direction)]
         return [*found, self._prior(gate)] if gate in self.contradicted else found
 
@@ -81,15 +84,16 @@ class MissedCrossings:
         return self.kinds.get(gate) or miss_rate_groups(None)
 
     def most(self, gate: str, direction: int, interval: ClockInterval, classes: Collection[str]) -> int:
-        """Count how many more may have crossed a gate.
+        """Return the maximum number of lost road users that may have crossed a gate.
 
-        Who ends before a gate and who begins behind it may be one and the same: the larger of the two numbers counts.
+        A track that ends before the gate and a track that begins behind it may belong to the same road user. The
+        result is therefore the larger of the two numbers.
 
         Args:
             gate: Name of the gate.
-            direction: 0 from the gate's left to its right, 1 back.
-            interval: The interval in which they would have crossed.
-            classes: Their classes.
+            direction: 0: from the gate's left to its right. 1: from right to left.
+            interval: The interval of the possible crossings.
+            classes: The classes that are counted.
         """
         own = [
             one
@@ -112,16 +116,16 @@ def unseen(
     kinds: Mapping[str, tuple[MissRateGroup, ...]] | None = None,
     other_cameras: Mapping[str, Sequence[Sequence[GateCrossing]]] | None = None,
 ) -> MissedCrossings:
-    """Gather who may have crossed gates without being counted.
+    """Collect the road users that may have crossed gates without being counted.
 
     Args:
         trajectories: All tracks.
         gates: All gates.
         crossings: All crossings, counted or not.
-        observation: When was observed, and how many pixels a metre is.
+        observation: The observed times, and the image scale at each gate.
         settings: The classes that are counted.
-        near: A gate is seen near where somebody was so far from it, in the unit of places.
-        kinds: Miss rates by gate; None: by how many pixels a metre is at each.
+        near: A gate is in view if a confirmed track came within this distance of it, in the unit of positions.
+        kinds: Miss rates by gate; None: from the image scale at each gate.
         other_cameras: As in `MissedCrossings`.
     """
     crossed = {(one.trajectory.number, one.gate) for one in crossings}
@@ -147,7 +151,7 @@ def unseen(
 
 
 def _would_cross(trajectory: Track, gate: Gate, begins: bool, observation: Observation) -> list[tuple[int, float]]:
-    """Direction and time of the crossing that a track's end, or its beginning, speaks for; empty where it does not."""
+    """Return direction and time of the crossing that a track's end (or start) suggests; empty if it suggests none."""
     row = 0 if begins else -1
     end_s = float(trajectory.times_s[row])
     if observation.is_cut(end_s):
@@ -167,7 +171,7 @@ def _would_cross(trajectory: Track, gate: Gate, begins: bool, observation: Obser
 
 
 def near_gate(gate: Gate, trajectory: Track, near: float) -> NDArray[np.bool_]:
-    """(M,) at which moments a track is within a distance of a gate, in the unit of positions."""
+    """Return (M,) whether each position of a track is within a distance of a gate, in the unit of positions."""
     signed, along = signed_distances(gate, trajectory.xy)
     length = math.dist(*gate.line)
     beside = np.maximum(0.0, np.maximum(-along, along - length))

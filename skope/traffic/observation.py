@@ -1,4 +1,4 @@
-"""Times at which the camera observed the road: without that, nothing counted and nothing observed look alike."""
+"""Times at which the camera observed the road. They tell an empty road from a road that was not observed."""
 
 import math
 from collections.abc import Sequence
@@ -23,20 +23,21 @@ from skope.traffic.counting_intervals import time_of
 from skope.types import Array
 
 FOOTAGE_FILE: Final = "footage.json"
-"""File of `skope eval track` on its footage, beside the tracks."""
+"""Name of the file with frame times and camera that `skope eval track` writes beside the tracks."""
 
 
 @dataclass(frozen=True)
 class ObservationLimits:
-    """Limits of gaps in an observation."""
+    """Durations that define a gap in an observation."""
 
     version: int = 1
-    """Version of the file."""
+    """Version of the format of `footage.json`."""
     gap_s: float = 1.0
-    """Frames farther apart than this, and than `gap_steps` usual steps, have a gap between them, seconds."""
+    """Time between two frames above which there may be a gap, seconds. It must also exceed `gap_steps`."""
     gap_steps: float = 3.0
+    """Time between two frames above which there may be a gap, in usual frame intervals. It must also exceed `gap_s`."""
     cut_s: float = 1.0
-    """What begins or ends this close to an end of the footage, or to a gap, is cut by it, seconds."""
+    """Time from an end of the footage, or from a gap, within which a track counts as cut off by it, seconds."""
 
 
 OBSERVATION_LIMITS: Final = ObservationLimits()
@@ -46,10 +47,10 @@ _WITH_OFFSET: Final = "2026-11-26T10:00:00+01:00"
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Observation:
-    """The frames of a footage and what is known of its camera."""
+    """Frame times of the footage, and the calibration of its camera."""
 
     times_s: Array
-    """(F,) seconds of the frames in which places are known, rising."""
+    """(F,) times of the frames that have positions, seconds, increasing."""
     source: str = ""
     """Name of the footage."""
     common_scale_sigma: float | None = None
@@ -58,27 +59,27 @@ class Observation:
     camera: Camera | None = None
     """The calibrated camera, in the world of the tracks; None: not known."""
     uncertainty: UncertainCamera | None = None
-    """`camera` with the covariance of its parameters: the one error that all road users share. It is in no track's
-    covariance. None: not known."""
+    """`camera` with the covariance of its parameters. All road users share this error, so the covariances of tracks
+    exclude it. None: not known."""
     ground: Ground | None = None
-    """The road that positions were computed on; None: not known."""
+    """Road surface on which positions were computed; None: not known."""
     moved_s: Array = field(default_factory=lambda: np.zeros(0))
-    """(M,) seconds of the frames after the camera had been moved, rising: they are not among `times_s`."""
+    """(M,) times of the frames after the camera was moved, seconds, increasing. `times_s` does not contain them."""
     turned: tuple[tuple[float, Camera], ...] = ()
-    """Cameras that `camera` was turned to in this footage, each with the time from which on, seconds, rising."""
+    """Camera after each rotation within the footage, with its start time in seconds, increasing."""
     visibility_samples: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    """(L, 3) times (s), rising, brightness (0 to 1) and contrast of pictures of the footage; empty: not measured."""
+    """(L, 3) times (s, increasing), brightness (0 to 1) and contrast of sampled images; empty: not measured."""
     start_time: datetime | None = None
-    """Time of second 0, with its zone, as the footage itself says; None: it does not."""
+    """Time of second 0, with its zone, from the metadata of the footage; None: not available."""
     parts: tuple["Observation", ...] = ()
-    """The recordings, where it is of several, in order, in the same seconds; each knows its own camera."""
+    """Observations of the single recordings, in order, on the same time axis, each with its own camera. Empty for one
+    recording."""
 
     @cached_property
     def spans(self) -> Array:
-        """(S, 2) begin and end of the times without a gap, seconds.
+        """(S, 2) start and end of each period without a gap, seconds.
 
-        A frame stands for a usual step from its time on, so that a footage lasts as long as its frames are shown.
-        Frames of a moved camera are a gap, however short.
+        The last frame of a period lasts one usual frame interval. Frames of a moved camera make a gap of any length.
         """
         if self.parts:
             return np.concatenate([part.spans for part in self.parts])
@@ -94,7 +95,7 @@ class Observation:
 
     @cached_property
     def extent(self) -> tuple[float, float]:
-        """First second and end of all frames, also of those after the camera had been moved."""
+        """Start and end of the footage, seconds. Frames after a camera move are included."""
         every = np.union1d(self.times_s, self.moved_s)
         if not len(every):
             return 0.0, 0.0
@@ -102,36 +103,36 @@ class Observation:
 
     @cached_property
     def further_s(self) -> Array:
-        """(R - 1,) seconds at which the second recording and all after it begin; empty where there is one."""
+        """(R - 1,) start times of the second and later recordings, seconds; empty for one recording."""
         return np.array([part.extent[0] for part in self.parts[1:]])
 
     def recording_at(self, time_s: float) -> int:
-        """The number, from 1, of the recording that a time lies in, or that ended before it."""
+        """Return the number, from 1, of the recording that contains a time or was the last to start before it."""
         return 1 + int(np.searchsorted(self.further_s, time_s, side="right"))
 
     @property
     def observed_s(self) -> float:
-        """Seconds that were observed in all."""
+        """Total observed time, seconds."""
         return self.seconds_in(-math.inf, math.inf)
 
     def seconds_in(self, begin_s: float, end_s: float) -> float:
-        """Seconds from `begin_s` to `end_s` that were observed."""
+        """Return the observed time between `begin_s` and `end_s`, seconds."""
         spans = np.clip(self.spans, begin_s, end_s)
         return float((spans[:, 1] - spans[:, 0]).sum())
 
     def together(self, one_s: float, other_s: float) -> bool:
-        """Whether all between two times was observed."""
+        """Return whether the road was observed without a gap between two times."""
         low, high = sorted((one_s, other_s))
         return bool(((self.spans[:, 0] <= low) & (high <= self.spans[:, 1])).any())
 
     def is_cut(self, time_s: float) -> bool:
-        """Whether what begins or ends at a time is cut by the footage or by a gap in it, not lost."""
+        """Return whether a track that begins or ends at a time is cut off by an end of the footage or by a gap."""
         return not len(self.spans) or bool(np.abs(self.spans - time_s).min() < OBSERVATION_LIMITS.cut_s)
 
     def pixels_per_metre(self, place: Array) -> float | None:
-        """Pixels of a metre across the line of sight at a place (2,) of the road; None: not known.
+        """Return the image size of one metre at a road position (2,), pixels per metre; None: not known.
 
-        Of several recordings that in which it is the fewest.
+        The metre is perpendicular to the viewing direction. With several recordings this is the smallest value.
         """
         if self.parts:
             known = [one for one in (part.pixels_per_metre(place) for part in self.parts) if one is not None]
@@ -141,18 +142,18 @@ class Observation:
         return float(self.camera.K[0, 0]) / max(1.0, math.dist(self.camera.position, (*map(float, place), 0.0)))
 
     def total_sigma(self, sigma: float, value: float) -> float:
-        """Standard deviation of one speed or length by itself: with the error that the camera gives all alike.
+        """Return the standard deviation of a single speed or length, including the camera's common scale error.
 
         Args:
-            sigma: Standard deviation for a known camera.
+            sigma: Standard deviation for an exactly known camera.
             value: The speed or length, in the unit of `sigma`.
         """
         return math.hypot(sigma, (self.common_scale_sigma or 0.0) * value)
 
     def with_camera_error(self, track: Track) -> Track:
-        """The track with the camera's error in its covariance and speed errors: to show one track by itself.
+        """Return the track with the camera's error in its covariance and speed errors, for showing a single track.
 
-        Never for measuring traffic: there the camera's error is one for all tracks.
+        Do not use it to measure traffic: there all tracks share one camera error.
         """
         recording = self.parts[self.recording_at(float(track.times_s[0])) - 1] if self.parts else self
         speed_sigma = np.hypot(track.speed_sigma, (self.common_scale_sigma or 0.0) * track.speed)
@@ -168,7 +169,7 @@ class Observation:
         return replace(track, covariance=track.covariance + added, speed_sigma=speed_sigma)
 
     def to_dict(self) -> dict[str, Any]:
-        """Content of `footage.json`."""
+        """Return the content of `footage.json`."""
         return {
             "version": OBSERVATION_LIMITS.version,
             "source": self.source,
@@ -188,20 +189,25 @@ class Observation:
 
 
 def frame_durations_s(times_s: Array, begin_s: float, end_s: float, further_s: Sequence[float] | Array = ()) -> Array:
-    """(N,) seconds of an interval for which each frame stands: until the next one, but not through gaps.
+    """Return the time in an interval that each frame covers, seconds.
+
+    A frame lasts until the next frame, and for at most `OBSERVATION_LIMITS.gap_steps` usual frame intervals.
 
     Args:
-        times_s: (N,) of the frames, rising, seconds.
-        begin_s: Begin of the interval, seconds.
-        end_s: Its end, seconds.
-        further_s: When further recordings begin, seconds: a frame does not stand until one of the next recording.
+        times_s: (N,) times of the frames, seconds, increasing.
+        begin_s: Start of the interval, seconds.
+        end_s: End of the interval, seconds.
+        further_s: Start times of the second and later recordings, seconds. No frame extends into the next recording.
+
+    Returns:
+        (N,) durations, seconds.
     """
     ends = [_ends(part) for part in np.split(times_s, np.searchsorted(times_s, further_s))]
     return np.asarray(np.clip(np.concatenate(ends), begin_s, end_s) - np.clip(times_s, begin_s, end_s))
 
 
 def _ends(times_s: Array) -> Array:
-    """(N,) until when each frame of a recording stands."""
+    """Return the (N,) end times of the frames of one recording, seconds."""
     usual = _usual_step(times_s)
     return np.asarray(
         times_s + np.append(np.minimum(np.diff(times_s), OBSERVATION_LIMITS.gap_steps * usual), usual)[: len(times_s)]
@@ -209,20 +215,20 @@ def _ends(times_s: Array) -> Array:
 
 
 def _usual_step(times_s: Array) -> float:
-    """Median time from a frame to the next one, seconds; 0 where there is no next one."""
+    """Return the median time between consecutive frames, seconds; 0 for fewer than two frames."""
     return float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
 
 
 def track_files(folder: Path) -> list[Path]:
-    """The files that a report of a folder of tracks is made from."""
+    """Return the files of a folder of tracks that a report is made from."""
     return [folder / TRACKS_CSV, folder / FOOTAGE_FILE]
 
 
 def read_observation(folder: Path) -> Observation:
-    """Read what `skope eval track` has written of the footage in a folder of tracks.
+    """Read `footage.json`, which `skope eval track` writes to a folder of tracks.
 
     Raises:
-        UserError: It is missing or wrong; the message names the file and the field.
+        UserError: The file is missing or invalid. The message names the file and the field.
     """
     path = folder / FOOTAGE_FILE
     if not path.is_file():
@@ -233,7 +239,7 @@ def read_observation(folder: Path) -> Observation:
     check_version(path, document.get("version"), OBSERVATION_LIMITS.version)
     times = _numbers(path, document, "times_s")
     if (np.diff(times) <= 0).any():
-        raise UserError(f"{path}: times_s: expected times that rise from frame to frame")
+        raise UserError(f"{path}: times_s: expected increasing times")
     sigma = document.get("common_scale_sigma")
     check_share(f"{path}: common_scale_sigma", sigma)
     camera, uncertainty = _read_camera(path, document.get("camera"))
@@ -260,7 +266,7 @@ def _camera_dict(camera: Camera, uncertainty: UncertainCamera | None) -> dict[st
 
 
 def _read_camera(path: Path, value: Any) -> tuple[Camera | None, UncertainCamera | None]:
-    """The camera of `footage.json` and its covariance, if it has any."""
+    """Return the camera of `footage.json` and its covariance, if present."""
     if value is None:
         return None, None
     if not isinstance(value, dict):
@@ -273,7 +279,7 @@ def _read_camera(path: Path, value: Any) -> tuple[Camera | None, UncertainCamera
 
 
 def _read_turned(path: Path, value: Any) -> tuple[tuple[float, Camera], ...]:
-    """The turned cameras of `footage.json`."""
+    """Return the turned cameras of `footage.json` with their start times."""
     if not isinstance(value, list) or not all(isinstance(one, dict) and is_number(one.get("from_s")) for one in value):
         raise UserError(f"{path}: turned: expected cameras, each with from_s")
     cameras = [_read_camera(path, one)[0] for one in value]
@@ -281,7 +287,11 @@ def _read_turned(path: Path, value: Any) -> tuple[tuple[float, Camera], ...]:
 
 
 def checked_visibility(rows: Any, where: str) -> Array:
-    """(L, 3) `Observation.visibility_samples` of a file's rows. Raises UserError that begins with `where`."""
+    """Return (L, 3) `Observation.visibility_samples` from rows of a file.
+
+    Raises:
+        UserError: The rows are invalid. The message begins with `where`.
+    """
     if rows == []:
         return np.zeros((0, 3))
     try:
@@ -289,15 +299,19 @@ def checked_visibility(rows: Any, where: str) -> Array:
     except (TypeError, ValueError):
         values = np.zeros(0)
     if values.ndim != 2 or values.shape[1] != 3 or not np.isfinite(values).all() or (np.diff(values[:, 0]) <= 0).any():
-        raise UserError(f"{where}: expected rows of time, brightness and contrast, at times that rise")
+        raise UserError(f"{where}: expected rows of time, brightness and contrast, with increasing times")
     return values
 
 
 def read_start_time(text: Any, where: str) -> datetime:
-    """A time with its offset, of a text. Raises UserError that begins with `where`."""
+    """Return the time that a text gives, which must include its UTC offset.
+
+    Raises:
+        UserError: The text is no such time. The message begins with `where`.
+    """
     start_time = time_of(text, where, _WITH_OFFSET)
     if start_time.tzinfo is None:
-        raise UserError(f"{where}: expected a time with its offset, like {_WITH_OFFSET}, got {text!r:.40}")
+        raise UserError(f"{where}: expected a time with its UTC offset, like {_WITH_OFFSET}, got {text!r:.40}")
     return start_time
 
 

@@ -57,9 +57,10 @@ class PeakHour:
 
 
 def peak_hours(report: TrafficReport) -> list[PeakHour]:
-    """The peak hour of the whole site, then of each gate and direction; empty where `why_no_peak_hour` gives a reason.
+    """Return the peak hour of the whole site, then of each gate and direction.
 
-    Of several hours with the same volume the earliest is taken. Hours begin with an interval.
+    The result is empty if `why_no_peak_hour` gives a reason. Among hours of the same volume the earliest is taken.
+    Hours begin with an interval.
     """
     if not report.gates or why_no_peak_hour(report):
         return []
@@ -88,12 +89,12 @@ def peak_hours(report: TrafficReport) -> list[PeakHour]:
 
 
 def peak_hour_class(report: TrafficReport) -> str:
-    """`VEHICLE_CATEGORY`, or `ALL_CLASSES` if the site counts vehicles alone, or none."""
+    """Return `VEHICLE_CATEGORY`, or `ALL_CLASSES` if the site counts only vehicles, or none."""
     return VEHICLE_CATEGORY if VEHICLE_CATEGORY in row_classes(report.site.traffic) else ALL_CLASSES
 
 
 def why_no_peak_hour(report: TrafficReport) -> str:
-    """The reason why there is no peak hour; empty if there is one."""
+    """Return the reason why there is no peak hour; empty if there is one."""
     minutes = report.site.traffic.interval_minutes
     if PEAK_PERIODS.hour_minutes % minutes:
         return f"{minutes}-minute intervals do not divide an hour (traffic.interval_minutes)"
@@ -107,7 +108,7 @@ def why_no_peak_hour(report: TrafficReport) -> str:
 
 
 def why_no_factor(report: TrafficReport) -> str:
-    """The reason why peak hours have no peak-hour factor; empty if they have one."""
+    """Return the reason why peak hours have no peak-hour factor; empty if they have one."""
     minutes = report.site.traffic.interval_minutes
     if PEAK_PERIODS.quarter_minutes % minutes:
         return f"{minutes}-minute intervals do not divide 15 minutes (traffic.interval_minutes)"
@@ -175,7 +176,7 @@ def _is_full(report: TrafficReport, interval: ClockInterval) -> bool:
 
 
 def _volumes(report: TrafficReport, class_name: str) -> dict[tuple[str, str], list[int]]:
-    """Counts by interval, of the whole site (empty names) and of each gate and direction."""
+    """Return counts by interval, for the whole site (empty names) and each gate and direction."""
     classes = classes_of(class_name, report.site.traffic)
     seen: set[int] = set()
     begins_s = [interval.begin_s for interval in report.intervals]

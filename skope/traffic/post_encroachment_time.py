@@ -1,8 +1,10 @@
-"""Post-encroachment time: how long after one road user another one is where it was. Two definitions, which differ.
+"""Post-encroachment time: time between two road users that use the same place, by two different definitions.
 
-SSAM's (FHWA, Surrogate Safety Assessment Model): from when the first vehicle stood at a place until the second one's
-box touches the box that it had there; the least over all places. That of Allen, Shin and Cooper (1978): from when the
-first one leaves the area that both drive over until the second one enters it; two that are in it at once have 0.
+SSAM (FHWA, Surrogate Safety Assessment Model): time from when the first vehicle was at a place until the second
+vehicle's box touches the first one's box at that place; the minimum over all places.
+
+Allen, Shin and Cooper (1978): time from when the first vehicle leaves the area that both cover until the second vehicle
+enters it; 0 if both are in it at the same time.
 """
 
 from dataclasses import dataclass
@@ -19,9 +21,9 @@ class EncroachmentSearch:
     """Resolution of the search for post-encroachment times."""
 
     fine_steps: int = 10
-    """Number of moments between two positions that are examined."""
+    """Number of times between two positions that are examined."""
     around_s: float = 10.0
-    """Time before and after the least distance in which areas are compared, seconds."""
+    """Time before and after the conflict in which areas are compared, seconds."""
     batch_steps: int = 10
     """Number of time steps that are examined together."""
     coarse_step: int = 5
@@ -33,23 +35,24 @@ ENCROACHMENT_SEARCH: Final = EncroachmentSearch()
 
 @dataclass(frozen=True, kw_only=True)
 class Encroachment:
-    """One road user gets where another one was."""
+    """Event in which one road user reaches a place that another road user has left."""
 
     seconds: float
+    """Post-encroachment time, seconds."""
     first_s: float
-    """Time at which the first one was there, seconds of the footage."""
+    """Time at which the first road user was at the place, seconds of the footage."""
     second_s: float
-    """Time at which the second one gets there, seconds of the footage."""
+    """Time at which the second road user reaches the place, seconds of the footage."""
     swapped: bool
-    """Whether the second of the two that were asked for was the first one there."""
+    """Whether the second argument of the search was first at the place."""
 
 
 def near(one: FootprintPath, other: FootprintPath, most_s: float) -> bool:
-    """Whether their ways come so near within `most_s` that the footprints may touch.
+    """Return whether two paths are close enough for the footprints to touch within `most_s` of each other.
 
     Args:
-        one: A road user.
-        other: Another one.
+        one: Path of the first road user.
+        other: Path of the second road user.
         most_s: Longest time between the two, seconds.
     """
     rows, columns = (
@@ -67,12 +70,12 @@ def by_places(one: FootprintPath, other: FootprintPath, most_s: float) -> Encroa
     """Find the encroachment by SSAM's definition.
 
     Args:
-        one: A road user.
-        other: Another one.
+        one: Path of the first road user.
+        other: Path of the second road user.
         most_s: Longest time between the two, seconds.
 
     Returns:
-        The shorter of the two directions; None where there is none within `most_s`.
+        The encroachment with the shorter time of the two orders; None if there is none within `most_s`.
     """
     found = [
         made
@@ -88,7 +91,7 @@ def _after(first: FootprintPath, second: FootprintPath, most_s: float, swapped: 
     rows = np.arange(len(first.ticks))
     shift = int(first.ticks[0] - second.ticks[0])
     every = np.arange(round(most_s / step_s) + 1)
-    # Some of the times at once, the least ones first: mostly one batch is enough, or nobody is near at all.
+    # Examine the delays in batches, shortest first: one batch is usually enough, or the two are never near each other.
     for late in np.split(every, range(ENCROACHMENT_SEARCH.batch_steps, len(every), ENCROACHMENT_SEARCH.batch_steps)):
         i, j = np.broadcast_arrays(rows[:, None], rows[:, None] + shift + late)
         there = (j >= 0) & (j < len(second.ticks))
@@ -105,7 +108,7 @@ def _after(first: FootprintPath, second: FootprintPath, most_s: float, swapped: 
 def _finer(
     first: FootprintPath, second: FootprintPath, first_s: float, second_s: float, step_s: float, swapped: bool
 ) -> Encroachment:
-    """The least time between moments around those at which the footprints overlap."""
+    """Return the shortest encroachment at finer times around those at which the footprints overlap."""
     shifts = (
         np.arange(-ENCROACHMENT_SEARCH.fine_steps, ENCROACHMENT_SEARCH.fine_steps + 1)
         * step_s
@@ -123,15 +126,15 @@ def _finer(
 
 
 def by_area(one: FootprintPath, other: FootprintPath, about_s: float) -> Encroachment | None:
-    """Find the encroachment by the area that both drive over, around a time.
+    """Find the encroachment by the area that both road users cover around a time.
 
     Args:
-        one: A road user.
-        other: Another one.
+        one: Path of the first road user.
+        other: Path of the second road user.
         about_s: The time, seconds of the footage.
 
     Returns:
-        The encroachment; None where there is no such area.
+        The encroachment; None if there is no common area.
     """
     from shapely import polygons, unary_union
 
@@ -153,7 +156,7 @@ def _during(path: FootprintPath, about_s: float) -> Array:
 
 
 def _stay(path: FootprintPath, rows: Array, shapes: Any, area: Any) -> tuple[float, float]:
-    """Times at which the footprint enters the area and leaves it, seconds."""
+    """Return the times at which the footprint enters and leaves the area, seconds."""
     from shapely import intersects, polygons
 
     def within(time_s: float) -> bool:
@@ -169,7 +172,7 @@ def _stay(path: FootprintPath, rows: Array, shapes: Any, area: Any) -> tuple[flo
 
 
 def _border(within: Any, outside_s: float, inside_s: float) -> float:
-    """The time at which an area is entered or left, between one outside and one inside."""
+    """Return the time at which an area is entered or left, between a time outside and a time inside."""
     for _ in range(6):
         middle = (outside_s + inside_s) / 2
         outside_s, inside_s = (outside_s, middle) if within(middle) else (middle, inside_s)

@@ -1,8 +1,8 @@
-"""Queues in lanes, and the stops and delays of those who pass.
+"""Queues in lanes, and stops and delays of road users.
 
-A vehicle stands in a queue from when it is slower than one speed until it is faster than another one, and a queue ends
-where the next such vehicle is too far behind, as the queue counters of traffic simulation (VISSIM) have it. Delay is
-the Highway Capacity Manual's: travel time over a section less what it takes at the speed of free flow.
+A vehicle is in a queue from when its speed falls below a first limit until it exceeds a second limit. A queue ends
+where the next such vehicle is too far behind. This is the definition of queue counters in traffic simulation (VISSIM).
+Delay follows the Highway Capacity Manual: travel time over a section minus the travel time at free-flow speed.
 """
 
 import math
@@ -40,9 +40,9 @@ class QueueTimes:
 QUEUE_TIMES: Final = QueueTimes()
 
 SPEED_SHIFTS: Final = (-INTERVAL_SIGMAS, -INTERVAL_SIGMAS / 2, INTERVAL_SIGMAS / 2, INTERVAL_SIGMAS)
-"""Shifts of the speeds that are tried, in standard deviations. One stop at one speed may be two or none at another."""
+"""Shifts of all speeds for the interval of stops, in standard deviations. A shift may split, add or remove a stop."""
 Queue = tuple[float, float, tuple[float, ...]]
-"""Length and its standard deviation, metres, and how probable each of the vehicles is."""
+"""Length and its standard deviation, metres, and the probability of each vehicle to be real."""
 NO_QUEUE: Final[Queue] = (0.0, 0.0, ())
 
 
@@ -53,19 +53,19 @@ class QueueRecord:
     interval: ClockInterval
     lane: str
     longest_m: float
-    """From the front of the first vehicle to the rear of the last one, metres; 0 without a queue."""
+    """Length from the front of the first vehicle to the rear of the last vehicle, metres; 0 without a queue."""
     sigma_m: float
-    """Standard deviation of that, from both places, metres."""
+    """Standard deviation of `longest_m`, from the positions of both vehicles, metres."""
     longest_at_s: float
-    """Time at which it was so long, seconds; NaN without a queue."""
+    """Time of the longest queue, seconds; NaN without a queue."""
     vehicles: int
-    """In the longest queue."""
+    """Number of vehicles in the longest queue."""
     vehicles_expected: CountInterval
-    """Between which numbers there were in it."""
+    """90% interval of the true number of vehicles in the longest queue."""
     mean_vehicles: float
-    """In the lane's longest queue, in the mean of the time that was observed."""
+    """Number of vehicles in the lane's longest queue, averaged over the observed time."""
     mean_between: tuple[float, float]
-    """Between which numbers that is: the mean of the bounds of all moments, as if all were off together."""
+    """Interval of `mean_vehicles`: the means of the lower and upper bounds over time, as if all errors were common."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,21 +75,27 @@ class Delay:
     section: SegmentTraversal
     stops: int
     stops_bounds: CountInterval
-    """Between which numbers of stops there were: where all speeds are off by as much as their errors allow."""
+    """Smallest and largest number of stops if all speeds are shifted by `SPEED_SHIFTS`."""
     stopped_s: float
+    """Total duration of the stops, seconds."""
     delay_s: float
-    """Seconds; NaN where the speed of free flow is not known."""
+    """Delay, seconds; NaN if the free-flow speed is not known."""
     sigma_s: float
-    """Standard deviation of the delay, seconds; NaN likewise."""
+    """Standard deviation of the delay, seconds; NaN if the free-flow speed is not known."""
 
 
 def standing(speed: Array, begin: float, end: float) -> NDArray[np.bool_]:
-    """(M,) whether somebody stands; before the first speed that tells, it does not.
+    """Return whether a road user is stopped at each position.
+
+    Speeds between the two limits keep the state. The initial state is "not stopped".
 
     Args:
-        speed: (M,) of one road user, in order of time.
-        begin: Who is slower begins to stand, in the unit of `speed`.
-        end: Who is faster drives again.
+        speed: (M,) speeds of one road user, in order of time.
+        begin: Speed below which a stop begins, in the unit of `speed`.
+        end: Speed above which a stop ends, in the unit of `speed`.
+
+    Returns:
+        (M,) True while the road user is stopped.
     """
     told = np.where(speed < begin, 1, np.where(speed > end, 0, -1))
     known = np.flatnonzero(told >= 0)
@@ -102,14 +108,14 @@ def standing(speed: Array, begin: float, end: float) -> NDArray[np.bool_]:
 def stops(
     trajectory: Track, begin_s: float, end_s: float, settings: TrafficSettings, shift: float = 0.0
 ) -> tuple[int, float]:
-    """Number of stops between two times, and how many seconds they last in all.
+    """Return the number of stops in a period and their total duration, seconds.
 
     Args:
-        trajectory: Who it is.
-        begin_s: The one time, seconds.
-        end_s: The other time, seconds.
-        settings: Somebody stands from under `stop_kmh` until over twice that.
-        shift: By how many of their standard deviations all speeds are taken to be larger.
+        trajectory: The road user.
+        begin_s: Start of the period, seconds.
+        end_s: End of the period, seconds.
+        settings: A stop begins below `stop_kmh` and ends above twice `stop_kmh`.
+        shift: Number of standard deviations that is added to all speeds.
     """
     times = trajectory.times_s
     rows = np.flatnonzero((times >= begin_s) & (times <= end_s))
@@ -130,14 +136,14 @@ def queues(
     observation: Observation,
     settings: TrafficSettings,
 ) -> list[QueueRecord]:
-    """The longest queue of each lane, in each interval of which something was observed.
+    """Return the longest queue of each lane in each interval that was observed at least in part.
 
     Args:
         trajectories: All tracks, in metres.
         lanes: The lanes.
         intervals: The intervals.
-        observation: When was observed.
-        settings: Speeds at which queues begin and end, and the gap that ends one.
+        observation: The observed times.
+        settings: Speeds at which queues begin and end, and the gap that ends a queue.
     """
     spans = observation.spans
     moments = np.unique(
@@ -177,21 +183,21 @@ def queues(
 
 @cache
 def _between(chances: tuple[float, ...]) -> CountInterval:
-    """Interval of the number in a queue of vehicles that are so probable, with those that the queue hides."""
+    """Return the interval of the number of vehicles in a queue, including vehicles that the queue hides."""
     return count_interval(chances, queue_miss_rate())
 
 
 def _in_lane(
     trajectories: Sequence[Track], lanes: LaneMap, lane: int, moments: Array, settings: TrafficSettings
 ) -> dict[float, Queue]:
-    """The lane's longest queue, where there is one, by moment."""
+    """Return the lane's longest queue by time, for times with a queue."""
     waiting: dict[float, list[tuple[float, float, float, float]]] = {}
     for trajectory in trajectories:
         if not trajectory.confirmed or trajectory.category == PEDESTRIAN_CATEGORY:
             continue
         there = moments[(moments >= trajectory.times_s[0]) & (moments <= trajectory.times_s[-1])]
         begin, end = settings.queue_speed_kmh / KMH_PER_MPS, settings.queue_end_kmh / KMH_PER_MPS
-        # A speed that is not known so well is no sign of standing.
+        # An uncertain speed is no evidence of a stopped vehicle.
         slow = standing(trajectory.speed + np.where(trajectory.speed_sigma > begin / 2, end, 0.0), begin, end)
         there = there[trajectory.at(slow.astype(float), there) > 0.5] if len(there) and slow.any() else there[:0]
         if not len(there):
@@ -208,10 +214,10 @@ def _in_lane(
 
 
 def _chains(ends: Sequence[tuple[float, float, float, float]], most_m: float) -> Iterator[Queue]:
-    """Each queue.
+    """Yield each queue.
 
-    `ends` are the fronts and rears of vehicles along the lane, the standard deviations of their places, metres, and how
-    probable they are.
+    `ends` has for each vehicle front and rear along the lane, standard deviation of its position (metres), and
+    probability.
     """
     ordered = sorted(ends, reverse=True)
     chain = ordered[:1]
@@ -231,13 +237,13 @@ def _queue(chain: Sequence[tuple[float, float, float, float]]) -> Queue:
 def delays(
     sections: Sequence[SegmentTraversal], groups: Sequence[SpeedGroup], settings: TrafficSettings
 ) -> list[Delay]:
-    """Stops and delay of everyone who was seen at two gates.
+    """Return stops and delay of each traversal between two gates.
 
     Args:
-        sections: Everyone who was seen at two gates.
+        sections: The traversals between two gates.
         groups: Speeds of the sections, with 85th percentiles of motor vehicles.
-        settings: `free_flow_kmh` is the speed of free flow on all sections; None: the 85th percentile, where it is
-            known.
+        settings: `free_flow_kmh` is the free-flow speed of all sections. None: the section's 85th percentile of speed,
+            if available.
     """
     free: dict[str, tuple[float, float]] = {}
     for group in groups:

@@ -1,8 +1,8 @@
-"""Several recordings of one site, put one after the other as if the camera had paused between them.
+"""Several recordings of one site on one time axis.
 
-Second 0 is that of the earliest recording; all further ones count from there by the clock, so that what was not
-recorded is a gap in the footage as any other is. Positions keep the errors of the camera of their own recording. The
-begin of a recording is given, or guessed from the name of its footage.
+Second 0 is that of the earliest recording. Later recordings are placed by the clock, so the time between recordings is
+a gap like any other. Positions keep the errors of the camera of their own recording. The start of a recording is given
+or guessed from the name of its footage.
 """
 
 import math
@@ -35,37 +35,44 @@ _IN_NAME: Final = re.compile(
     r"(?<!\d)(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)[-_.T ]?(\d\d)[-_.:]?(\d\d)[-_.:]?(\d\d)(Z?)(?![\dA-Za-z])"
     r"(?![-+]\d\d:?\d\d(?!\d))"
 )
-"""Day and time in a name, as recorders write them; with a Z in UTC, else by the clocks at the road. What may be an
-offset behind it, or a counter, leaves it in doubt."""
+"""Date and time in a file name, as recorders write them. With a Z the time is UTC, otherwise local time at the road.
+There is no match if a possible UTC offset or further digits or letters follow."""
 
 
 def parse_start_time(said: str | datetime, site: "SiteFile", where: str) -> datetime:
-    """Read the time at which somebody says that footage begins.
+    """Return the start time of footage as given by the user.
 
     Args:
         said: The time, with or without a zone.
-        site: Its zone is taken for a time that has none.
-        where: What the message begins with.
+        site: The site. Its zone applies to a time without a zone.
+        where: Start of the error message.
 
     Returns:
-        The time, in the site's zone where it has none of its own.
+        The time with its zone.
 
     Raises:
-        UserError: It is no time, has no zone at all, or clocks show it never or twice.
+        UserError: `said` is no time, neither it nor the site has a zone, or the local time is missing or ambiguous
+            because of a clock change.
     """
     begin = said if isinstance(said, datetime) else time_of(said, where)
     if begin.tzinfo is not None:
         return local_time(begin, site)
     zone = _zone(site)
     if zone is None:
-        raise UserError(f"{where}: {said} has no zone, as 2026-11-26T10:00:00+01:00 has, and {site.path} no time_zone")
+        raise UserError(
+            f"{where}: expected a time with its UTC offset, like 2026-11-26T10:00:00+01:00, as {site.path} has no "
+            f"time_zone; got {said}"
+        )
     if doubt := clock_doubt(begin, zone):
         raise UserError(f"{where}: {said}: {doubt}")
     return begin.replace(tzinfo=zone)
 
 
 def begin_in_name(name: str, site: "SiteFile") -> datetime | None:
-    """The time that a name has in it; None where it has none or several, or where clocks do not tell it for sure."""
+    """Return the time in a file name; None if there is none, or if it is ambiguous.
+
+    It is ambiguous if the name has several times, the site has no zone, or the clocks change at that time.
+    """
     found = {match.groups() for match in _IN_NAME.finditer(name)}
     if len(found) != 1:
         return None
@@ -93,50 +100,50 @@ class RecordingLimits:
     reported_s: float = 0.05
     """Shift of a recording that is reported, seconds."""
     time_digits: int = 6
-    """Digits of times: microseconds, so that a moment has one number in all recordings."""
+    """Decimal digits of times, seconds. Rounding gives the same moment the same number in all recordings."""
 
 
 RECORDING_LIMITS: Final = RecordingLimits()
 
 _LONGEST_SPAN: Final = timedelta(days=31)
-"""From the begin of the first recording to that of the last one: more is rather a mistake in a date."""
+"""Longest time between the starts of the first and the last recording. A longer time is probably a wrong date."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SiteRecording:
-    """One of several recordings, and where it lies in the report of all."""
+    """One of several recordings, with its position in the common report."""
 
     folder: Path
-    """The folder of its tracks."""
+    """Folder of its tracks."""
     source: str
     """Name of its footage."""
     begin: datetime
     """Time of its own second 0, in the site's zone."""
     begin_s: float
-    """Second of the report that its own second 0 is."""
+    """Second of the report at its own second 0."""
     added: int
-    """Number that is added to those of its tracks."""
+    """Offset that is added to the numbers of its tracks."""
     guessed: bool
-    """Whether its begin is guessed from the name of its footage."""
+    """Whether its start is guessed from the name of its footage."""
     late_s: float
-    """By how much it is taken to begin later than that says, so that it begins when the one before it has ended."""
+    """Delay of its start so that it does not overlap the previous recording, seconds."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedTraffic:
-    """Content of one or several recordings of a site."""
+    """Tracks and observation of one or several recordings of a site."""
 
     tracks: tuple[Track, ...]
     observation: Observation
     start: datetime | None
-    """Time of second 0; None where that of a single recording is not known."""
+    """Time of second 0; None if it is not known (only for a single recording)."""
     recordings: tuple[SiteRecording, ...] = ()
-    """The recordings, where there are several, in the order of time."""
+    """The recordings in order of time; empty for a single recording."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Placed:
-    """A recording with when it began, not yet among the others."""
+    """Recording with its start time, before the recordings are ordered."""
 
     folder: Path
     observation: Observation
@@ -144,7 +151,7 @@ class _Placed:
     guessed: bool
 
     def at(self, second: int) -> datetime:
-        """Time at which its frames begin (0) or end (1)."""
+        """Return the time at which its frames begin (`second` = 0) or end (1)."""
         return _later(self.begin, self.observation.extent[second])
 
 
@@ -158,14 +165,15 @@ def read_recordings(
         start_time: Start of each recording, in the order of `folders`. If empty, `footage.json` has it, else the site
             file (for one recording) or the name of its footage (for several).
         site: The site.
-        where: What messages call `start_time`.
+        where: Name of `start_time` in messages.
 
     Raises:
-        UserError: It is not known when one of several began, two overlap in time, or a file is missing or wrong.
+        UserError: The start of one of several recordings is not known, two recordings overlap in time, or a file is
+            missing or invalid.
     """
     if start_time and len(start_time) != len(folders):
         raise UserError(
-            f"{where}: expected a time for each of {counted(len(folders), 'recording')}, in their order, got "
+            f"{where}: expected one time for each of {counted(len(folders), 'recording')}, in their order; got "
             f"{len(start_time)}"
         )
     said: list[datetime | None] = [parse_start_time(one, site, where) for one in start_time]
@@ -203,32 +211,35 @@ def read_recordings(
 
 
 def recording_lines(recordings: Sequence[SiteRecording], observation: Observation) -> Iterator[str]:
-    """Sentences on how it is known when recordings began, and in what their cameras differ."""
+    """Yield sentences on guessed or shifted start times, and on differences between the cameras."""
     if guessed := [one for one in recordings if one.guessed]:
         first = guessed[0]
         yield (
-            f"{len(guessed)} of {len(recordings)} recordings are taken to begin when the names of their footage say "
-            f"({first.source!r}: {first.begin.isoformat(timespec='seconds')}): a guess, which --start-time replaces"
+            f"{len(guessed)} of {len(recordings)} recordings: the start is guessed from the name of the footage "
+            f"({first.source!r}: {first.begin.isoformat(timespec='seconds')}); --start-time replaces the guess"
         )
     if late := [one for one in recordings if one.late_s >= RECORDING_LIMITS.reported_s]:
         yield (
             f"{len(late)} of {len(recordings)} recordings begin up to {max(one.late_s for one in late):.2f} s before "
-            f"the one before has ended ({late[0].folder} is the first): they are taken to follow it"
+            f"the previous recording ends (first: {late[0].folder}): they were shifted to begin at its end"
         )
     parts = observation.parts
     known = [part.common_scale_sigma for part in parts if part.common_scale_sigma is not None]
     if 0 < len(known) < len(parts):
-        yield f"speeds: how well the camera is known is said of {len(known)} of {len(parts)} recordings alone"
+        yield (
+            f"speeds: only {len(known)} of {len(parts)} recordings have a camera with covariance; the intervals "
+            "exclude the calibration error"
+        )
     elif len(set(known)) > 1:
         yield (
-            f"speeds: the camera is known to {min(known):.2%} in one recording and to {max(known):.2%} in another: "
-            "the intervals of all have the larger error"
+            f"speeds: the calibration error is {min(known):.2%} in one recording and {max(known):.2%} in another: all "
+            "intervals use the larger error"
         )
     cameras = [part.camera for part in parts if part.camera is not None]
     if any(one.to_dict() != cameras[0].to_dict() for one in cameras):
         yield (
-            "recordings have other calibrations of the camera: places have the errors of their own; who is too small "
-            "to be seen is told by the one that shows a gate the smallest"
+            "recordings differ in the calibration of the camera: positions have the errors of their own recording; the "
+            "recording with the smallest image of a gate decides which road users are too small there"
         )
 
 
@@ -239,15 +250,15 @@ def _only(folder: Path, said: datetime | None, site: "SiteFile") -> RecordedTraf
 
 
 def begin_of(said: datetime | None, observation: Observation, site: "SiteFile") -> datetime | None:
-    """Time at which a recording begins, in the site's zone.
+    """Return the start time of a recording.
 
     Args:
-        said: Begin as somebody says it; None: nobody does.
-        observation: What the footage says of itself.
-        site: Its zone is that of the result.
+        said: Start time given by the user; None: not given.
+        observation: The recording, which may have its own start time.
+        site: The site. The recording's own start time is converted to its zone.
 
     Returns:
-        What somebody says, else what the footage says; None: neither does.
+        `said`, else the recording's own start time, else None.
     """
     return local_time(observation.start_time, site) if said is None and observation.start_time is not None else said
 
@@ -259,8 +270,8 @@ def _placed(folder: Path, said: datetime | None, site: "SiteFile", where: str) -
     if begin is None and guess is None:
         zone = "" if site.time_zone else f", and {site.path} has no time_zone"
         raise UserError(
-            f"{folder}: not known when it begins: {where} says it once for each recording, in their order "
-            f"(the name of the footage, {observation.source!r:.60}, does not tell it for sure{zone})"
+            f"{folder}: the start time is not known: give {where} once for each recording, in their order "
+            f"(the name of the footage, {observation.source!r:.60}, has no unambiguous time{zone})"
         )
     known = begin or guess
     assert known is not None
@@ -268,28 +279,28 @@ def _placed(folder: Path, said: datetime | None, site: "SiteFile", where: str) -
 
 
 def _check(placed: Sequence[_Placed]) -> None:
-    """Raise UserError where recordings, in order of time, cannot be of one report."""
+    """Raise a UserError if the recordings, in order of time, cannot share one report."""
     folders, contents = dict[Path, Path](), dict[str, Path]()
     for one in placed:
         if not len(one.observation.times_s) + len(one.observation.moved_s):
-            raise UserError(f"{one.folder / FOOTAGE_FILE}: times_s: holds no frame")
+            raise UserError(f"{one.folder / FOOTAGE_FILE}: times_s: expected at least one frame, found none")
         if one.folder.resolve() in folders:
-            raise UserError(f"{one.folder}: is given twice")
+            raise UserError(f"{one.folder}: given twice; name each recording once")
         folders[one.folder.resolve()] = one.folder
         path = one.folder / TRACKS_CSV
         if _has_rows(path):
             same = contents.setdefault(sha256_of(path), path)
             if same != path:
-                raise UserError(f"{path}: holds the same tracks as {same}")
+                raise UserError(f"{path}: contains the same tracks as {same}; name each recording once")
         if one.begin.astimezone(UTC) - placed[0].begin.astimezone(UTC) > _LONGEST_SPAN:
             raise UserError(
                 f"{one.folder}: begins at {one.begin.isoformat(timespec='seconds')}, more than {_LONGEST_SPAN.days} "
-                f"days after {placed[0].folder}: make a report of each"
+                f"days after {placed[0].folder}: check the dates, or make a separate report of each"
             )
 
 
 def _has_rows(path: Path) -> bool:
-    """Whether a file has a line after its first one; that it can be read is seen when it is."""
+    """Return whether a file has a line after its header. The content is checked when it is read."""
     if not path.is_file():
         return False
     with path.open("rb") as file:
@@ -297,9 +308,10 @@ def _has_rows(path: Path) -> bool:
 
 
 def _one_after_the_other(placed: Sequence[_Placed]) -> Iterator[tuple[_Placed, float]]:
-    """The recordings, none before the last one has ended, and by how much each was moved for that, seconds.
+    """Yield the recordings without overlap, and the delay of each, seconds.
 
-    Raises UserError where two overlap by more than their begins are known to.
+    Raises:
+        UserError: Two recordings overlap by more than `RECORDING_LIMITS.inexact_s`.
     """
     before: _Placed | None = None
     for one in placed:
@@ -307,15 +319,15 @@ def _one_after_the_other(placed: Sequence[_Placed]) -> Iterator[tuple[_Placed, f
         if before is not None and late_s > RECORDING_LIMITS.inexact_s:
             start_time, ends = (time.isoformat(timespec="seconds") for time in (one.at(0), before.at(1)))
             raise UserError(
-                f"{one.folder}: begins at {start_time}, before {before.folder} has ended ({ends}): recordings of one "
-                "report may not overlap"
+                f"{one.folder}: begins at {start_time}, before {before.folder} ends ({ends}): recordings of one "
+                "report must not overlap"
             )
         before = replace(one, begin=_later(one.begin, late_s))
         yield before, late_s
 
 
 def _together(parts: Sequence[Observation]) -> Observation:
-    """The observation of all recordings; of what their cameras differ in, what is least certain."""
+    """Return the observation of all recordings, with the largest scale error of their cameras."""
     sigmas = [math.inf if part.common_scale_sigma is None else part.common_scale_sigma for part in parts]
     return Observation(
         times_s=np.concatenate([part.times_s for part in parts]),
@@ -328,7 +340,7 @@ def _together(parts: Sequence[Observation]) -> Observation:
 
 
 def _in_report(observation: Observation, begin_s: float) -> Observation:
-    """A recording's observation in seconds of the report."""
+    """Return a recording's observation in seconds of the report."""
     visibility_samples = observation.visibility_samples.copy()
     visibility_samples[:, 0] = _at(visibility_samples[:, 0], begin_s)
     return replace(
@@ -346,7 +358,7 @@ def _at(times_s: Array, begin_s: float) -> Array:
 
 
 def _later(time: datetime, seconds: float) -> datetime:
-    """So many seconds later, through UTC: on the day of a change the clock does not go on by itself."""
+    """Return a time some seconds later. UTC is used because local time is not continuous when clocks change."""
     return (time.astimezone(UTC) + timedelta(seconds=seconds)).astimezone(time.tzinfo)
 
 

@@ -24,24 +24,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RemarkLimits:
-    """Limits from which a report warns."""
+    """Thresholds for the warnings of a report."""
 
     dark: float = 0.1
-    """Mean brightness below which images show hardly anything. Of 386 generated images of all hours and weathers,
-    the darkest two have 0.089 (a road without lamps) and 0.097; nights with lamps have 0.105 and more."""
+    """Mean brightness (0 to 1) below which an image counts as dark. In 386 generated images of all hours and weathers
+    the lowest values are 0.089 (a road without lamps) and 0.097. Nights with lamps have at least 0.105."""
     flat: float = 0.015
-    """Contrast below which images show hardly anything. The thickest fog of these images has 0.010 and 0.012, other
-    fog 0.031 and more, photographs of a car park from above 0.022."""
+    """Contrast below which an image counts as without contrast. The thickest fog of these images has 0.010 and 0.012,
+    other fog at least 0.031, and photographs of a car park from above have 0.022."""
     lost_s: float = 0.5
-    """Unobserved time within the footage that is worth a warning, seconds."""
+    """Unobserved time within the footage from which the report warns, seconds."""
     beside_m: float = 2.0
-    """Tracks that begin or end this close to a gate may be missed by it, metres."""
+    """Distance from a gate within which the start or end of a track may hide a crossing, metres."""
     many_share: float = 0.1
-    """Share of such tracks among its crossings that is worth a warning."""
+    """Number of these tracks, as a share of the gate's crossings, from which the report warns."""
     few_tracks: int = 3
-    """Least number of such tracks."""
+    """Minimum number of these tracks for a warning."""
     least_visible: float = 0.9
-    """Smallest share of a gate that a turned camera must show, of what it showed before, without a warning."""
+    """Share of the visible part of a gate that must remain visible after the camera was turned. Below it the report
+    warns."""
     gate_points: int = 100
     """Number of points on a gate that are projected."""
 
@@ -51,16 +52,16 @@ REMARK_LIMITS: Final = RemarkLimits()
 
 @dataclass(frozen=True, kw_only=True)
 class IntervalVisibility:
-    """Sight of the camera in an interval; None where nothing was measured in it."""
+    """Visibility in the camera's images in an interval; None if it was not measured in it."""
 
     low_brightness_s: float | None
-    """Seconds in which the picture was dark."""
+    """Time with dark images, seconds."""
     low_contrast_s: float | None
-    """Seconds in which it had hardly any contrast: fog, a lens that is covered."""
+    """Time with images of hardly any contrast (fog, a covered lens), seconds."""
     moved_s: float
-    """Seconds of another view than the camera's calibration is of: it had been moved. Nothing is observed then."""
+    """Time for which the camera was moved away from its calibrated view, seconds. Nothing is observed then."""
     poor_s: float | None
-    """Seconds in which any of these holds."""
+    """Time in which at least one of these conditions holds, seconds."""
     brightness: float | None
     """Mean brightness, from 0 to 1."""
     contrast: float | None
@@ -68,12 +69,12 @@ class IntervalVisibility:
 
 
 def interval_visibility(observation: Observation, begin_s: float, end_s: float) -> IntervalVisibility:
-    """Measure how well the camera saw in an interval.
+    """Return the visibility in an interval.
 
     Args:
-        observation: What is known of the footage.
-        begin_s: Begin of the interval, seconds.
-        end_s: Its end, seconds.
+        observation: The footage with its samples of brightness and contrast.
+        begin_s: Start of the interval, seconds.
+        end_s: End of the interval, seconds.
     """
     every = np.union1d(observation.times_s, observation.moved_s)
     moved_s = float(
@@ -104,38 +105,44 @@ def interval_visibility(observation: Observation, begin_s: float, end_s: float) 
 
 
 def sight_lines(observation: Observation) -> Iterator[str]:
-    """Sentence on how long the camera saw little; none where it always saw."""
+    """Yield a sentence on the time with poor visibility; nothing if visibility was always good."""
     found = interval_visibility(observation, -np.inf, np.inf)
     parts = {
         "dark": found.low_brightness_s,
         "without contrast": found.low_contrast_s,
-        "of another view, as the camera had been moved": found.moved_s,
+        "with the camera moved to another view": found.moved_s,
     }
     told = [f"{seconds:.0f} s {what}" for what, seconds in parts.items() if seconds is not None and seconds >= 0.5]
     if told:
         yield (
-            f"the camera saw little: {', '.join(told)}; who crosses then is hardly seen, and intervals do not "
-            "tell how many (visibility.csv has the intervals)"
+            f"poor visibility: {', '.join(told)}; most road users are missed then, and the 90% intervals do not "
+            "include them (see visibility.csv)"
         )
 
 
 def remarks(report: "TrafficReport") -> Iterator[str]:
-    """The sentences, of a report in metres."""
+    """Yield the remarks on a report in metres."""
     if not report.gates:
         yield "no counts, speeds and headways: the site has no gates"
     if not report.site.lanes:
-        yield "no queues and lane changes, headways over the whole width of a gate: the site has no lanes"
+        yield "no queues and lane changes, and headways across the whole gate: the site has no lanes"
     if report.start is None:
-        yield "intervals start with the footage: its time is not known (start in the site file, or --start-time)"
+        yield (
+            "intervals begin at the start of the footage: its time of day is not known (set start in the site file, "
+            "or --start-time)"
+        )
     observation = report.observation
     if observation.common_scale_sigma is None:
-        yield "speeds: nothing says how well the camera is known: the error that it gives all is not in their intervals"
+        yield "speeds: the camera file has no covariance; the intervals exclude the calibration error"
     yield from recording_lines(report.recordings, observation)
     lost = sum(observation.spans[1:, 0] - observation.spans[:-1, 1])
     if lost >= REMARK_LIMITS.lost_s:
-        yield f"{lost:.0f} s within the footage were not observed: what happened then is counted nowhere"
+        yield f"{lost:.0f} s within the footage were not observed: no count includes them"
     if any(np.isnan(one.delay_s) for one in report.delays):
-        yield "delays: too few vehicles tell the speed of free flow (traffic.free_flow_kmh of the site says it)"
+        yield (
+            "delays: too few vehicles to estimate the free-flow speed of every section (set traffic.free_flow_kmh in "
+            "the site file)"
+        )
     yield from _of_conflicts(report)
     yield from remarks_on_counts(report)
     for gate in report.gates:
@@ -144,7 +151,7 @@ def remarks(report: "TrafficReport") -> Iterator[str]:
 
 
 def remarks_on_counts(report: "TrafficReport") -> Iterator[str]:
-    """The gates whose counts are not known, what is not counted, and what was counted by hand."""
+    """Yield remarks on gates without counts or intervals, on uncounted crossings and on manual counts."""
     missed = report.unseen
     counted = {gate.name for gate in report.gates}
     for gate in report.site.gates:
@@ -156,33 +163,38 @@ def remarks_on_counts(report: "TrafficReport") -> Iterator[str]:
             )
             yield f"gate {gate.name!r}: not counted: {why}"
     for name in sorted(missed.gates):
-        yield f"gate {name!r}: nobody was ever seen near it: nobody crossed it, or nobody can be seen there"
+        yield (
+            f"gate {name!r}: no road user was ever detected near it: either none crossed it, or none can be seen there"
+        )
     for one in report.counts_total:
         if one.expected is not None or not one.observed_s or one.gate in missed.gates:
             continue
         kinds = missed.kinds.get(one.gate, ())
         if one.class_name == VEHICLE_CATEGORY and kinds and kinds[0].too_small:
             yield (
-                f"gate {one.gate!r} ({one.direction}): vehicles are so small in the image there that few are "
-                "detected: how many crossed it is not known; draw it nearer to the camera"
+                f"gate {one.gate!r} ({one.direction}): no interval: vehicles are too small in the image there, and "
+                "few are detected; draw the gate nearer to the camera"
             )
         elif one.class_name == VEHICLE_CATEGORY:
             yield (
-                f"gate {one.gate!r} ({one.direction}): more vehicles are lost before it, or found behind it, than "
-                "cross it: how many did is not known; move it to where they are seen on both sides"
+                f"gate {one.gate!r} ({one.direction}): no interval: more vehicles are lost before it, or found behind "
+                "it, than cross it; move the gate to where vehicles are visible on both sides"
             )
         elif any(kind.too_small for kind in kinds) and not kinds[0].too_small:
             yield (
-                f"gate {one.gate!r} ({one.direction}): people and two-wheelers are so small in the image there that "
-                "few are seen: how many crossed it is known of vehicles alone"
+                f"gate {one.gate!r} ({one.direction}): pedestrians and two-wheelers are too small in the image there, "
+                "and few are detected: only counts of vehicles have intervals"
             )
     if missed.doubtful:
-        yield f"{len(missed.doubtful)} crossings are more probably none than one: they are in the intervals alone"
+        yield (
+            f"{len(missed.doubtful)} crossings are not counted (probability below 0.5, or beside the end of a gate); "
+            "they only widen the intervals"
+        )
     between = any(NO_GATE not in (one.origin, one.destination) for one in report.turning_total)
     if between and any(on_foot(one) for one in report.movements):
         yield (
-            "movements: tracks of people go over to others who walk beside: how many of all went from gate to gate is "
-            "known of vehicles alone where people walk"
+            "movements: tracks of pedestrians often switch to a pedestrian beside them: movements that include "
+            "pedestrians have no interval, only those of vehicles have one"
         )
     yield from hand_lines(report.manual_count_checks)
     yield from sight_lines(report.observation)
@@ -192,18 +204,18 @@ def _of_conflicts(report: "TrafficReport") -> Iterator[str]:
     search = report.conflicts
     if search.overlapping:
         yield (
-            f"conflicts: {search.overlapping} pairs whose footprints overlap are left out: two tracks of one vehicle, "
-            "or places that are wrong"
+            f"conflicts: {search.overlapping} pairs with overlapping footprints are excluded: two tracks of one "
+            "vehicle, or wrong positions"
         )
     if search.poorly_tracked_pairs:
         yield (
             f"conflicts: {search.poorly_tracked_pairs} pairs are excluded because one track is poor where they meet "
-            "(gap of 0.6 s or more, or positions not known to 0.5 m): most are no conflicts, but some may be"
+            "(gap of at least 0.6 s, or position error above 0.5 m): most are no conflicts, but some may be"
         )
 
 
 def _of_turned_cameras(gate: Gate, observation: Observation) -> Iterator[str]:
-    """Warnings where a camera was turned so that it shows less of a gate than before."""
+    """Yield a warning for each camera that was turned and now shows less of a gate than before."""
     for part in observation.parts or (observation,):
         height = part.ground.height if part.ground else 0.0
         line = np.linspace(gate.line[0], gate.line[1], REMARK_LIMITS.gate_points)
@@ -214,19 +226,19 @@ def _of_turned_cameras(gate: Gate, observation: Observation) -> Iterator[str]:
                 share = float(_shows(camera, places)[before].mean())
                 if share < REMARK_LIMITS.least_visible:
                     yield (
-                        f"gate {gate.name!r}: the camera was turned, and from {from_s:.1f} s on it shows {share:.0%} "
-                        "of what it showed of the gate: counts from then on are too low"
+                        f"gate {gate.name!r}: the camera was turned, and from {from_s:.1f} s on {share:.0%} of the "
+                        "part of the gate that it showed before is visible: counts after that time are too low"
                     )
 
 
 def _shows(camera: Camera, places: Array) -> Mask:
-    """(N,) whether a camera shows places (N, 3)."""
+    """Return (N,) whether positions (N, 3) are inside the camera's image."""
     pixels, _, valid = camera.project(places)
     return np.asarray(valid & camera.inside(pixels), dtype=bool)
 
 
 def _of_gate(gate: Gate, report: "TrafficReport") -> Iterator[str]:
-    """Warnings where many tracks begin or end at a gate, as at the image's edge, or pass its ends."""
+    """Yield warnings if many tracks begin or end at a gate, or pass close to its ends."""
     number = 0
     for one in filter(is_in_traffic, report.trajectories):
         for row in (0, -1):
@@ -238,12 +250,12 @@ def _of_gate(gate: Gate, report: "TrafficReport") -> Iterator[str]:
     if number >= max(REMARK_LIMITS.few_tracks, REMARK_LIMITS.many_share * total):
         yield (
             f"gate {gate.name!r}: {number} tracks begin or end within {REMARK_LIMITS.beside_m:g} m of it "
-            f"({total} crossings): many may be missed; move it to where vehicles are seen on both sides"
+            f"({total} crossings): many may be missed; move the gate to where vehicles are visible on both sides"
         )
     perhaps = (*report.crossings, *report.unseen.doubtful)
     beside = sum("beside" in one.doubt and one.gate == gate.name for one in perhaps)
     if beside >= max(REMARK_LIMITS.few_tracks, REMARK_LIMITS.many_share * total):
         yield (
-            f"gate {gate.name!r}: {beside} road users pass so near to its ends that they go through it or past it: "
-            "let it end where nobody walks, as before a pavement or behind it"
+            f"gate {gate.name!r}: {beside} road users pass so close to an end of the gate that they may be inside or "
+            "outside; move the ends to where no road user passes, for example to either edge of a pavement"
         )

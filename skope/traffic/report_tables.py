@@ -1,7 +1,8 @@
-"""The tables of a traffic report, column by column; docs/traffic.md says what they mean.
+"""Tables of a traffic report, column by column. docs/traffic.md describes the columns.
 
-Cells are None or NaN where there is nothing to say: a count of nothing observed, a time that was not seen. Speeds are
-km/h, lengths metres, times seconds of the footage; columns with times of the day have the site's time with its offset.
+Cells without a value are None or NaN, for example a count without observation or a time that was not seen. Speeds are
+in km/h, lengths in metres, times in seconds of the footage. Columns with times of day have the site's time with its UTC
+offset.
 """
 
 import math
@@ -37,7 +38,10 @@ class ReportTable:
 
 
 def report_tables(report: TrafficReport) -> dict[str, ReportTable]:
-    """The tables by their names; without metres those of counts and movements alone."""
+    """Return the tables by name.
+
+    Without metres there are only those of counts, manual counts, movements, events and visibility.
+    """
     manual_count = {"manual_count": _manual_count(report)} if report.manual_count_checks else {}
     always = {**manual_count, "visibility": _visibility(report), "events": _events(report)}
     if not report.metres:
@@ -62,10 +66,10 @@ def _table(columns: str, rows: Iterable[TableRow]) -> ReportTable:
 
 
 def clock(report: TrafficReport, time_s: float) -> datetime | None:
-    """The time of the day of a second of the footage, to the millisecond; None where it is not known."""
+    """Return the clock time at a second of the footage, to the millisecond; None if it is not known."""
     if report.start is None or math.isnan(time_s):
         return None
-    # Through UTC: on the day of a change the clock does not go on by itself.
+    # Use UTC, because local time is not continuous on the day of a clock change.
     zone = report.start.tzinfo
     moment = report.start.astimezone(UTC) + timedelta(seconds=time_s)
     return moment.replace(microsecond=moment.microsecond // 1000 * 1000).astimezone(zone)
@@ -78,7 +82,7 @@ def _of_interval(interval: ClockInterval | None) -> TableRow:
 
 
 def _recording(report: TrafficReport, time_s: float) -> TableRow:
-    """The number of the recording that a time lies in; nothing where there is one."""
+    """Return a cell with the number of the recording at a time; empty for a single recording."""
     return (report.observation.recording_at(time_s),) if report.recordings else ()
 
 
@@ -127,7 +131,7 @@ _NO_LENGTH: Final = (None,) * 5
 
 
 def _length(report: TrafficReport, one: Track) -> TableRow:
-    """Cells of a road user: OpenTrafficCam's class, length, its standard deviation, the bin and its probability."""
+    """Return cells of a road user: OpenTrafficCam class, length and its standard deviation, bin and its probability."""
     otc = OTC_CLASSES[one.class_name]
     if not report.metres or not has_length(one):
         return otc, *_NO_LENGTH[1:]
@@ -159,7 +163,7 @@ def _trajectories(report: TrafficReport) -> ReportTable:
 
 
 def thinned(one: Track, step_s: float) -> list[int]:
-    """Rows of a trajectory that are `step_s` apart at least, with its first and its last one."""
+    """Return indices of rows of a track that are at least `step_s` apart, including the first and the last row."""
     rows, at = [0], float(one.times_s[0])
     for i, time_s in enumerate(one.times_s[1:-1].tolist(), start=1):
         if time_s - at >= step_s - 1e-6:
@@ -232,7 +236,7 @@ def _lengths(report: TrafficReport) -> ReportTable:
 
 
 def _bounds(one: LengthCount) -> TableRow:
-    """From which length to which, metres; the last one has no end."""
+    """Return shortest and longest length of a bin, metres; the last bin has no upper limit."""
     if one.between_m is None:
         return None, None
     return tuple(end if math.isfinite(end) else None for end in one.between_m)

@@ -1,6 +1,6 @@
-"""Pictures of the empty road beside the tracks: from above, for maps, and as the camera shows it, for its gates.
+"""Images of the empty road beside the tracks: from above, for maps, and from the camera, for its gates.
 
-The camera's picture is the median of frames: moving road users are not in it; those that stand most of the time are.
+The camera's image is the median of frames. It shows no moving road users, but those that are stopped most of the time.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ EMPTY_ROAD_SIZE_FILE: Final = "empty_road.json"
 
 @dataclass(frozen=True)
 class RoadImage:
-    """How the image of the empty road is made."""
+    """Settings for the image of the empty road."""
 
     longer_px: int = 1280
     """Longer side, pixels."""
@@ -92,18 +92,18 @@ class RoadPicture:
     low: tuple[float, float]
     """World x and y of its south-west corner, metres."""
     high: tuple[float, float]
-    """And of its north-east corner."""
+    """World x and y of its north-east corner, metres."""
 
 
 def write_road_picture(folder: Path, picture: RoadPicture) -> list[str]:
-    """Write a picture and where it lies to a folder of tracks; returns the files' names."""
+    """Write an image and its position to a folder of tracks; return the names of the files."""
     write_bytes(folder / ROAD_FILE, picture.jpeg)
     write_json(folder / ROAD_PLACE_FILE, {"low": list(picture.low), "high": list(picture.high)})
     return [ROAD_FILE, ROAD_PLACE_FILE]
 
 
 def read_road_picture(folder: Path) -> RoadPicture | None:
-    """The picture in a folder of tracks; None where there is none, or nothing says where it lies: maps do without."""
+    """Read the image in a folder of tracks; None if it or its position is missing."""
     if not (folder / ROAD_FILE).is_file() or not (folder / ROAD_PLACE_FILE).is_file():
         return None
     document = read_json(folder / ROAD_PLACE_FILE)

@@ -1,10 +1,12 @@
 """Spot speeds at gates, speeds over the sections between two gates, and their percentiles (v15, v50, v85).
 
-Measurement errors spread speeds, which raises v85 and lowers v15. Where measured speeds vary by S^2 and their errors by
-sigma^2, true ones vary by S^2 - sigma^2: values are drawn towards their median by the square root of the ratio. The
-interval is that of order statistics (Conover, Practical Nonparametric Statistics: it holds for any distribution),
-widened by the uncertainty of the ratio, and by the camera's error, which all speeds share and no number of vehicles
-averages away.
+Measurement errors spread speeds, which raises v85 and lowers v15. If measured speeds have the variance S^2 and their
+errors sigma^2, true speeds have the variance S^2 - sigma^2. Values are therefore moved towards their median by the
+square root of the ratio of the two variances.
+
+The interval is that of order statistics, which is valid for any distribution (Conover, Practical Nonparametric
+Statistics). It is widened by the uncertainty of the ratio and by the camera's error. All speeds share the camera's
+error, so more vehicles do not reduce it.
 """
 
 import math
@@ -32,12 +34,12 @@ class SpeedModel:
     """Errors of speed distributions."""
 
     least_ratio: float = 0.5
-    """Share of the measured variance below which the variance of true speeds is hidden by errors."""
+    """Minimum ratio of true to measured variance. Below it v15 and v85 are not available."""
     shape_sigma: float = 0.15
     """Standard deviation of the error if speeds are not normally distributed, as a share of the spread that is
-    removed; from simulations with skewed speeds."""
+    removed. From simulations with skewed speeds."""
     step_m: float = 1.0
-    """Step in which path lengths are measured, metres. Shorter ones would add up the jitter of positions."""
+    """Minimum step for measuring path lengths, metres. Shorter steps would add up the jitter of positions."""
 
 
 SPEED_MODEL: Final = SpeedModel()
@@ -48,23 +50,24 @@ class Percentile:
     """A percentile of speeds, m/s."""
 
     value: float | None
-    """None: it cannot be told, `unavailable_reason` says why."""
+    """None if not available; `unavailable_reason` gives the reason."""
     low: float | None
     high: float | None
-    """Between `low` and `high` is the percentile of all who drive so, with 90%."""
+    """`low` and `high` are the 90% interval of the percentile of all such traffic; None if not available."""
     unavailable_reason: str = ""
+    """Reason why the percentile is not available; empty if it is."""
 
 
 def speed_percentiles(
     speeds: Sequence[float], sigmas: Sequence[float], common_scale_sigma: float | None
 ) -> dict[str, Percentile]:
-    """The percentiles of `SPEED_PERCENTILES`, by their names.
+    """Return the percentiles of `SPEED_PERCENTILES` by name.
 
     Args:
-        speeds: As measured, m/s.
-        sigmas: Standard deviation of each for a known camera, m/s.
-        common_scale_sigma: Relative standard deviation of the scale, which all speeds share; None if not known. It is
-            then not in the intervals.
+        speeds: Measured speeds, m/s.
+        sigmas: Standard deviation of each speed for an exactly known camera, m/s.
+        common_scale_sigma: Relative standard deviation of the scale, which all speeds share. If None (not known), the
+            intervals exclude it.
     """
     values = np.sort(np.asarray(speeds, dtype=np.float64))
     n = len(values)
@@ -81,7 +84,7 @@ def speed_percentiles(
             least = math.ceil(math.log((1 - INTERVAL_LEVEL) / 2) / math.log(max(share, 1 - share)))
             out[name] = _unavailable(f"{n} vehicles: an interval needs {least}")
         elif ratio < SPEED_MODEL.least_ratio and share != 0.5:
-            out[name] = _unavailable("speeds vary hardly more than they are uncertain")
+            out[name] = _unavailable("the spread of the speeds is too small compared with their errors")
         else:
             drawn = math.sqrt(max(0.0, ratio)) if share != 0.5 else 1.0
             value, low, high = (
@@ -103,19 +106,24 @@ def _unavailable(why: str) -> Percentile:
 
 
 def _ratio_sigma(ratio: float, n: int) -> float:
-    """Standard deviation of the square root of the ratio, as far as the spread of n normal values is uncertain."""
+    """Return the standard deviation of the square root of the ratio, from the sampling error of n normal values."""
     return (1 - ratio) / math.sqrt(2 * n * ratio) if 0 < ratio < 1 else 0.0
 
 
 def order_ranks(n: int, share: float) -> tuple[int, int] | None:
-    """Indices of two of n sorted values between which a quantile lies with `INTERVAL_LEVEL`.
+    """Return the indices of two of n sorted values that enclose a quantile with a probability of `INTERVAL_LEVEL`.
 
-    Each end errs with half of the rest at most. None where n is too small for that.
+    Args:
+        n: Number of values.
+        share: The quantile, 0 to 1.
+
+    Returns:
+        The two indices, each with an error probability of at most half of the rest. None if n is too small.
     """
     tail = (1 - INTERVAL_LEVEL) / 2
     ranks = np.arange(n)
-    below = bdtr(ranks, n, share)  # so many values or fewer lie below the quantile
-    # The k-th value (from 0) is above the quantile where k or fewer values lie below it.
+    below = bdtr(ranks, n, share)  # probability that at most `ranks` values lie below the quantile
+    # The k-th value (from 0) is above the quantile if at most k values lie below it.
     lows = np.flatnonzero(below <= tail)
     highs = np.flatnonzero(below >= 1 - tail)
     highs = highs[highs < n]
@@ -125,23 +133,26 @@ def order_ranks(n: int, share: float) -> tuple[int, int] | None:
 
 
 MOTOR_TRAFFIC: Final = "motor"
-"""All classes of vehicles and motorcycles together."""
+"""Name of the group of all vehicle classes and motorcycles."""
 MOTOR_CLASSES: Final = frozenset(TRAFFIC_CLASSES) - {"bicycle", PEDESTRIAN_CATEGORY}
 _Measured = TypeVar("_Measured")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SegmentTraversal:
-    """A road user drives from one gate to another."""
+    """Travel of a road user from one gate to another."""
 
     movement: Movement
     length_m: float
-    """Of its way."""
+    """Travelled distance, metres."""
     seconds: float
+    """Travel time, seconds."""
     seconds_sigma: float
+    """Standard deviation of `seconds`."""
     speed: float
-    """m/s: the way over the time, which traffic engineers call journey speed."""
+    """Journey speed: distance over travel time, m/s."""
     speed_sigma: float
+    """Standard deviation of `speed`, m/s."""
 
     @property
     def name(self) -> str:
@@ -151,29 +162,30 @@ class SegmentTraversal:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SpeedGroup:
-    """The speeds of those who passed one place, or section, in one direction."""
+    """Speeds of the road users that passed one gate, or one section, in one direction."""
 
     interval: ClockInterval | None
-    """None: the whole footage."""
+    """The interval; None for the whole footage."""
     kind: str
-    """Spot, or section."""
+    """"spot" or "section"."""
     where: str
-    """Gate and direction; of a section both."""
+    """Gate and direction; for a section those of both gates."""
     class_name: str
     """A class, or `MOTOR_TRAFFIC`."""
     number: int
+    """Number of speeds."""
     percentiles: dict[str, Percentile]
     common_known: bool
-    """Whether the intervals hold what the camera's calibration leaves uncertain."""
+    """Whether the intervals include the camera's calibration error."""
 
 
 def section_name(movement: Movement) -> str:
-    """Names of the gates that a movement is between, with directions."""
+    """Return the names of the two gates of a movement, with directions."""
     return " -> ".join(f"{gate} ({direction})" for gate, direction in movement.sides)
 
 
 def section_passes(found: Sequence[Movement]) -> list[SegmentTraversal]:
-    """Everyone who was seen at two gates, in order of time."""
+    """Return the traversals of all movements with two known gates, in order of time."""
     return [_pass(one) for one in found if one.origin is not None and one.destination is not None]
 
 
@@ -195,15 +207,15 @@ def _pass(movement: Movement) -> SegmentTraversal:
 
 
 def way(trajectory: Track, begin_s: float, end_s: float) -> float:
-    """Length of the way that a road user takes from one time to another.
+    """Return the distance that a road user travels in a period.
 
     Args:
         trajectory: The track.
-        begin_s: The one time, seconds.
-        end_s: The other time, seconds.
+        begin_s: Start of the period, seconds.
+        end_s: End of the period, seconds.
 
     Returns:
-        Metres, in steps of `SPEED_MODEL.step_m` and more: shorter ones would add up what places jitter.
+        The distance, metres, added up in steps of at least `SPEED_MODEL.step_m`.
     """
     inner = trajectory.times_s[(trajectory.times_s > begin_s) & (trajectory.times_s < end_s)]
     places = trajectory.at(trajectory.xy, np.array([begin_s, *inner, end_s]))
@@ -221,15 +233,15 @@ def speed_groups(
     intervals: Sequence[ClockInterval],
     observation: Observation,
 ) -> list[SpeedGroup]:
-    """Percentiles of the speeds of the whole footage by class, and of motor vehicles by interval too.
+    """Return speed percentiles of the whole footage by class, and of motor vehicles by interval.
 
-    Tracks with the flag `implausible_speed` are left out.
+    Tracks with the flag `implausible_speed` are excluded.
 
     Args:
-        crossings: The crossings, whose speeds are those at a spot.
-        sections: Everyone who was seen at two gates.
+        crossings: The crossings, which have spot speeds.
+        sections: The traversals between two gates.
         intervals: The intervals.
-        observation: How uncertain the camera leaves all speeds.
+        observation: The observation with the scale error of the camera.
     """
     known = observation.common_scale_sigma
     crossings = [one for one in crossings if has_plausible_speed(one.trajectory)]
@@ -241,7 +253,7 @@ def speed_groups(
         where: Callable[[_Measured], str],
         of: Callable[[_Measured], tuple[float, str, float, float]],
     ) -> Iterator[SpeedGroup]:
-        """`of` gives time, class, speed and sigma of a row."""
+        """Yield the groups of one kind. `of` returns time, class, speed and sigma of a row."""
         for place in sorted({where(row) for row in rows}):
             own = [of(row) for row in rows if where(row) == place]
             for interval in (None, *intervals):

@@ -1,8 +1,8 @@
-"""Tracks that a mast, a bus or a key frame has broken, joined: by place, time, speed and body.
+"""Stitching of tracks that a mast, a bus or a key frame has broken, by position, time, speed and body.
 
-A track that ends and one that begins later are one road user's with a probability: how well the second one begins
-where the first one would be by then, held against all others who may be meant, and against how likely a stranger begins
-just there. Only likely pairs are joined; the probability is kept, and goes into that of each event.
+The probability that two tracks belong to one road user depends on how well the second track continues the first. It is
+compared with all other possible continuations, and with the rate at which unrelated tracks begin there. Only likely
+pairs are joined. Their probability enters that of each event.
 """
 
 import math
@@ -24,27 +24,27 @@ class JoinLimits:
     longest_gap_s: float = 8.0
     """Longest gap between two tracks of one road user, seconds."""
     overlap_s: float = 0.6
-    """Longest overlap of two tracks, seconds. A track continues by its box for half a second after another has
-    begun."""
+    """Longest overlap of two tracks, seconds. A track may continue by its box for half a second after the next track
+    has begun."""
     acceleration_mps2: float = 1.5
     """Standard deviation of the acceleration in a gap, along and across, m/s^2."""
     unevenness_mps2: float = 1.5
-    """Standard deviation of its deviation from an even acceleration, m/s^2."""
+    """Standard deviation of the deviation from a constant acceleration, m/s^2."""
     largest_sigma_m: float = 8.0
-    """Largest useful standard deviation of the predicted position, metres."""
+    """Largest standard deviation of the predicted position for joining, metres."""
     new_per_m2_s: float = 2e-5
     """Rate of new road users that begin on the road for other reasons, per square metre and second."""
     size_sigma: float = 0.08
     """Relative standard deviation of a measured length."""
     probability: float = 0.8
-    """Probability from which two tracks are joined."""
+    """Minimum probability for joining two tracks."""
 
 
 JOIN_LIMITS: Final = JoinLimits()
 
 
 def stitch_tracks(tracks: Sequence[Track]) -> list[Track]:
-    """The trajectories with broken ones joined, by their first moments."""
+    """Return the tracks with broken tracks joined, in order of their start."""
     ordered = sorted(tracks, key=lambda one: (float(one.times_s[0]), one.number))
     follows: dict[int, tuple[int, float]] = {}
     taken: set[int] = set()
@@ -65,7 +65,7 @@ def stitch_tracks(tracks: Sequence[Track]) -> list[Track]:
 
 
 def _likely_pairs(ordered: Sequence[Track]) -> list[tuple[float, int, int]]:
-    """Pairs to be joined, by index, the likeliest first."""
+    """Return the pairs to join as (probability, first index, second index), most likely first."""
     begins = np.array([one.times_s[0] for one in ordered])
     likelihood: dict[tuple[int, int], float] = {}
     by_end, by_begin = defaultdict[int, float](float), defaultdict[int, float](float)
@@ -83,17 +83,17 @@ def _likely_pairs(ordered: Sequence[Track]) -> list[tuple[float, int, int]]:
 
 
 def _likelihood(before: Track, after: Track) -> float:
-    """Density, per square metre, with which the one who ends as `before` begins as `after`; 0: it cannot be."""
+    """Return the density, per square metre, that `after` continues `before`; 0 if it is impossible."""
     if before.category != after.category or "impossible_motion" in {*before.flags, *after.flags}:
         return 0.0
     if before.category != VEHICLE_CATEGORY and "never_moved" in {*before.flags, *after.flags}:
-        return 0.0  # an object that a detector takes for somebody: who passes it is another
+        return 0.0  # an object that was detected as a pedestrian or rider: a road user that passes it is not the object
     kept = _until(before, float(after.times_s[0]))
     if kept is None or kept.times_s[-1] < before.times_s[-1] - JOIN_LIMITS.overlap_s:
         return 0.0
     before = kept
     gap = float(after.times_s[0] - before.times_s[-1])
-    # Whoever speeds up, brakes or turns evenly goes as far as at the mean of the two velocities.
+    # Under constant acceleration, the displacement is that of the mean of the two velocities.
     missing = after.xy[0] - before.xy[-1] - (before.velocity[-1] + after.velocity[0]) / 2 * gap
     sigma_v = math.hypot(float(before.speed_sigma[-1]), float(after.speed_sigma[0])) / 2
     sigma_v = math.hypot(sigma_v, JOIN_LIMITS.unevenness_mps2 * gap / 4)
@@ -116,7 +116,7 @@ def _likelihood(before: Track, after: Track) -> float:
 
 
 def _until(track: Track, end_s: float) -> Track | None:
-    """A trajectory before a time; None where it has not begun by then."""
+    """Return the part of a track before a time; None if the track begins later."""
     if track.times_s[-1] < end_s:
         return track
     rows = track.times_s < end_s
@@ -124,7 +124,7 @@ def _until(track: Track, end_s: float) -> Track | None:
 
 
 def _together(before: Track, after: Track, probability: float) -> Track:
-    """One trajectory of two; between them there is a straight line, as `Track.at` has it."""
+    """Return one track made of two. `Track.at` interpolates linearly between them."""
     kept = _until(before, float(after.times_s[0]))
     assert kept is not None
     longer, shorter = sorted((before, after), key=lambda one: -int(one.located.sum()))
@@ -140,12 +140,12 @@ def _together(before: Track, after: Track, probability: float) -> Track:
 
 
 def _flags(before: Track, after: Track) -> tuple[str, ...]:
-    """Reasons to distrust either track; one that moved in one of the two has moved."""
+    """Return the flags of both tracks. "never_moved" remains only if both have it."""
     moved = "never_moved" not in before.flags or "never_moved" not in after.flags
     names = dict.fromkeys((*before.flags, *after.flags))
     return tuple(name for name in names if not (moved and name == "never_moved"))
 
 
 def _confidence(longer: Track, shorter: Track) -> float:
-    """Confidence of the class that the longer one has, where the shorter one says another: less."""
+    """Return the confidence of the longer track's class, reduced if the shorter track has another class."""
     return longer.class_confidence * (1.0 if longer.class_name == shorter.class_name else 0.8)

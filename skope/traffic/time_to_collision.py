@@ -21,11 +21,11 @@ class CollisionLimits:
     """Limits of times to collision and of braking."""
 
     braking_s: float = 1.0
-    """Duration over which a deceleration is measured, seconds. Shorter ones are mostly position errors."""
+    """Duration over which a deceleration is measured, seconds. Over shorter durations position errors dominate."""
     least_probability: float = 0.5
     """Probability below which braking is not listed."""
     rear_end_deg: float = 30.0
-    """Two road users whose headings differ by less follow each other, degrees (SSAM)."""
+    """Maximum difference of headings for two road users to follow each other, degrees (SSAM)."""
     straight_s: float = 0.2
     """Duration for which paths are taken as straight, seconds."""
     passed_s: float = 6.0
@@ -39,25 +39,25 @@ COLLISION_LIMITS: Final = CollisionLimits()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HardBraking:
-    """A road user brakes harder than the limit."""
+    """Braking of a road user above the limit."""
 
     trajectory: Track
     time_s: float
-    """Time at which it brakes hardest, seconds."""
+    """Time of the hardest braking, seconds."""
     place: Array
-    """(2,) metres."""
+    """(2,) position at `time_s`, metres."""
     deceleration: float
-    """m/s^2 over a second, positive."""
+    """Mean deceleration over one second, m/s^2, positive."""
     sigma: float
-    """Standard deviation of that, m/s^2, from those of the speeds."""
+    """Standard deviation of `deceleration`, from the errors of the speeds, m/s^2."""
     probability: float
-    """Probability that it was harder than the limit."""
+    """Probability that the deceleration was above the limit."""
 
 
 def hard_brakings(trajectories: Sequence[Track], settings: TrafficSettings) -> list[HardBraking]:
-    """The hardest braking of each vehicle that brakes harder than `settings.hard_braking_ms2`, in order of time.
+    """Return the hardest braking of each road user that brakes harder than `settings.hard_braking_ms2`, by time.
 
-    Tracks with the flag `implausible_speed` are left out.
+    Pedestrians and tracks with the flag `implausible_speed` are excluded.
     """
     found = []
     for trajectory in trajectories:
@@ -77,7 +77,7 @@ def _hardest(trajectory: Track, limit: float) -> HardBraking | None:
         trajectory.speed, begins + COLLISION_LIMITS.braking_s
     )
     k = int(drop.argmax())
-    # A gap in the track is bridged by a straight line, which brakes evenly: there it is seen nowhere.
+    # A gap in the track is interpolated linearly, so braking inside it was not observed.
     if not trajectory.located[(times >= begins[k]) & (times <= begins[k] + COLLISION_LIMITS.braking_s)].any():
         return None
     ends = np.array([begins[k], begins[k] + COLLISION_LIMITS.braking_s])
@@ -96,15 +96,15 @@ def _hardest(trajectory: Track, limit: float) -> HardBraking | None:
 
 @dataclass(frozen=True, eq=False)
 class SampledStates:
-    """Other places and speeds that two road users may have at K moments."""
+    """Sampled positions and speeds of two road users at K times."""
 
     shifts: tuple[Array, Array]
-    """(K, 2) what to add to the places of each, metres."""
+    """(K, 2) offsets from the measured positions of each road user, metres."""
     speeds: tuple[Array, Array]
-    """(K,) of each, m/s."""
+    """(K,) speeds of each road user, m/s."""
 
     def only(self, some: NDArray[np.intp]) -> "SampledStates":
-        """Some of the moments, by their indices."""
+        """Return the samples with the given indices."""
         return SampledStates(
             (self.shifts[0][some], self.shifts[1][some]),
             (self.speeds[0][some], self.speeds[1][some]),
@@ -118,14 +118,17 @@ def times_to_collision(
     horizon_s: float,
     doubt: SampledStates | None = None,
 ) -> Array:
-    """(K,) seconds to the collision from each of K moments; infinite where there is none within the horizon.
+    """Return the times to collision at K times.
 
     Args:
-        one: A road user.
-        other: Another one.
-        rows: (K,) of the moments of each, which are the same in time.
-        horizon_s: No collision later than this is looked for.
-        doubt: Where they are and how fast instead of what was measured; None: as measured.
+        one: Path of the first road user.
+        other: Path of the second road user.
+        rows: (K,) rows of each path, at the same times.
+        horizon_s: Longest time to collision that is searched for, seconds.
+        doubt: Sampled positions and speeds instead of the measured ones; None: as measured.
+
+    Returns:
+        (K,) times to collision, seconds; infinite if there is no collision within `horizon_s`.
     """
     legs, ways = _ways((one, other), rows, horizon_s, doubt)
     begin, end = meeting(*ways[0], *ways[1])
@@ -140,7 +143,11 @@ def _ways(
     horizon_s: float,
     doubt: SampledStates | None,
 ) -> tuple[Array, list[tuple[Array, Array]]]:
-    """The ways ahead of two: when their L legs begin (L,), and corners (K, L, 4, 2), velocities (K, L, 2)."""
+    """Return the paths ahead of two road users as L straight segments.
+
+    Returns:
+        (L,) start times of the segments, and for each road user corners (K, L, 4, 2) and velocities (K, L, 2).
+    """
     legs = np.asarray(
         np.arange(int(np.ceil(horizon_s / COLLISION_LIMITS.straight_s)) + 1) * COLLISION_LIMITS.straight_s,
         dtype=np.float64,
@@ -157,7 +164,7 @@ def _ways(
 
 
 def angle_deg(one: Array, other: Array) -> Array:
-    """(...,) degrees between unit vectors (..., 2)."""
+    """Return (...,) angles between unit vectors (..., 2), degrees."""
     return np.asarray(np.degrees(np.arccos(np.clip(np.einsum("...i,...i->...", one, other), -1, 1))))
 
 
@@ -168,17 +175,17 @@ def deceleration_to_avoid(
     seconds: Array,
     doubt: SampledStates | None = None,
 ) -> Array:
-    """Decelerations that avoid collisions.
+    """Return the decelerations that avoid collisions.
 
     Args:
-        one: A road user.
-        other: Another one.
-        rows: (K,) of the moments of each, which are the same in time.
-        seconds: (K,) until the collision; infinite where there is none.
-        doubt: Places and speeds instead of those that were measured; None: as measured.
+        one: Path of the first road user.
+        other: Path of the second road user.
+        rows: (K,) rows of each path, at the same times.
+        seconds: (K,) times to collision, seconds; infinite for none.
+        doubt: Sampled positions and speeds instead of the measured ones; None: as measured.
 
     Returns:
-        (K,) m/s², as the module has it; 0 where no collision is ahead.
+        (K,) decelerations, m/s²; 0 if no collision is ahead.
     """
     speeds = doubt.speeds if doubt else (one.speed[rows[0]], other.speed[rows[1]])
     ahead = np.isfinite(seconds)
@@ -198,7 +205,7 @@ def _across(
     speeds: tuple[Array, Array],
     doubt: SampledStates | None,
 ) -> Array:
-    """(K,) m/s^2 by which the one that gets later to where both drive lets the other one leave before."""
+    """Return (K,) decelerations, m/s^2, with which the later road user lets the first one leave the common area."""
     legs, ways = _ways((one, other), rows, COLLISION_LIMITS.passed_s, doubt)
     stays = _stay(legs, ways[0], ways[1][0]), _stay(legs, ways[1], ways[0][0])
     out = np.zeros(len(rows[0]))
@@ -208,7 +215,7 @@ def _across(
         away = speed * np.where(later, enter, 0.0)
         safe = np.where(later, gone, 1.0)
         passing = 2 * (speed - away / safe) / safe
-        # Braking as hard as that it may stop before: then stopping there is enough.
+        # If it would stop before the common area with that deceleration, stopping at the area is enough.
         stopping = speed**2 / (2 * np.maximum(away, 0.05))
         needed = np.where(speed - passing * safe < 0, stopping, passing)
         out = np.maximum(out, np.where(later, needed, 0.0))
@@ -216,7 +223,7 @@ def _across(
 
 
 def _stay(legs: Array, way: tuple[Array, Array], places: Array) -> tuple[Array, Array]:
-    """(K,) seconds until somebody on a way first touches places (K, L, 4, 2), and until it last does; else infinite."""
+    """Return (K,) times at which a road user first and last touches areas (K, L, 4, 2), seconds; infinite for none."""
     shape = (*way[0].shape[:2], places.shape[1])
     moving = np.broadcast_to(way[0][:, :, None], (*shape, 4, 2))
     velocity = np.broadcast_to(way[1][:, :, None], (*shape, 2))

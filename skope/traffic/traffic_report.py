@@ -1,4 +1,4 @@
-"""Report of the traffic in a footage, and its few lines of text for the terminal."""
+"""Traffic report of a footage, and its summary for the terminal."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -36,31 +36,31 @@ class TrafficReport:
 
     site: "SiteParts"
     gates: tuple[Gate, ...]
-    """The gates that were counted at; their lines are among positions as the trajectories have them."""
+    """The counted gates, with lines in the coordinates of the trajectories."""
     start: datetime | None
-    """Time at which the footage begins, in the site's zone; None: not known."""
+    """Start time of the footage, in the site's zone; None: not known."""
     observation: Observation
     intervals: tuple[ClockInterval, ...]
     trajectories: tuple[Track, ...]
-    """Those of confirmed tracks, broken ones joined."""
+    """Confirmed tracks, with broken tracks joined."""
     crossings: tuple[GateCrossing, ...]
     visits: tuple[ZoneVisit, ...]
     lane_changes: tuple[LaneChange, ...]
     counts: tuple[Count, ...]
     counts_total: tuple[Count, ...]
-    """Those of the whole footage, whole gates: of all, and of vehicles."""
+    """Counts of the whole footage and whole gates: of all road users, and of vehicles."""
     lengths: tuple[LengthCount, ...]
     """Counts of vehicles by length; empty without metres."""
     lengths_total: tuple[LengthCount, ...]
-    """Those of the whole footage."""
+    """Counts by length of the whole footage."""
     unseen: MissedCrossings
     """Road users that may have crossed gates and are not counted."""
     manual_count_checks: tuple[ManualCountComparison, ...]
-    """Hand counts, beside what was counted here."""
+    """Manual counts, compared with the automatic counts."""
     movements: tuple[Movement, ...]
     turning: tuple[TurningMovementCount, ...]
     turning_total: tuple[TurningMovementCount, ...]
-    """The matrix of the whole footage."""
+    """Turning movements of the whole footage."""
     sections: tuple[SegmentTraversal, ...]
     speeds: tuple[SpeedGroup, ...]
     headways: tuple[Headway, ...]
@@ -70,26 +70,27 @@ class TrafficReport:
     conflicts: ConflictSearch
     brakings: tuple[HardBraking, ...]
     recordings: tuple[SiteRecording, ...] = ()
-    """The recordings, where it is of several, in the order of time."""
+    """The recordings in order of time; empty for a single recording."""
     notes: tuple[str, ...] = ()
-    """Sentences on what could not be measured, or should be distrusted, and why."""
+    """Sentences on figures that are not available or doubtful, with reasons."""
     metres: bool = True
-    """Whether places are metres on the road; else pixels, and nothing is measured but counts and movements."""
+    """Whether positions are in metres on the road. Otherwise they are pixels, and the report has only counts and
+    movements."""
 
 
 def report_lines(report: TrafficReport) -> Iterator[str]:
-    """Counts and speeds by gate and direction, the turning matrix, and what else was found."""
+    """Yield the summary: counts and speeds by gate and direction, turning movements, and numbers of other events."""
     seconds = report.observation.observed_s
-    yield f"{len(report.trajectories)} road users over {seconds:.1f} s that were observed; intervals hold 90%"
+    yield f"{len(report.trajectories)} road users in {seconds:.1f} s of observation; all intervals are 90% intervals"
     if report.counts:
         yield from text_table(
-            ["gate", "direction", "class", "count", "there were", "v50 km/h", "v85 km/h"], _gates(report), "lll"
+            ["gate", "direction", "class", "count", "90% interval", "v50 km/h", "v85 km/h"], _gates(report), "lll"
         )
     if report.manual_count_checks:
-        head = ["gate", "direction", "class", "by hand", "count", "there were, by what is seen alone", "GEH"]
+        head = ["gate", "direction", "class", "manual count", "count", "90% interval without manual count", "GEH"]
         yield from text_table(head, _by_hand(report), "lll")
     if movements := list(_movements(report)):
-        yield from text_table(["from", "to", "class", "count", "there were"], movements, "lll")
+        yield from text_table(["from", "to", "class", "count", "90% interval"], movements, "lll")
     if not report.metres:
         return
     likely = [one for one in report.conflicts.conflicts if one.ttc_s <= report.site.traffic.ttc_s]
@@ -98,7 +99,7 @@ def report_lines(report: TrafficReport) -> Iterator[str]:
     sure = f" ({told.low} to {told.high} of them real)" if likely else ""
     yield (
         f"{len(report.headways)} headways; {len(likely)} conflicts by time to collision{sure}, {others} more by "
-        f"encroachment; {len(report.brakings)} vehicles braked hard"
+        f"encroachment; {len(report.brakings)} vehicles with hard braking"
     )
 
 
@@ -132,7 +133,7 @@ def _speed(one: Percentile | None) -> str:
 
 
 def _movements(report: TrafficReport) -> Iterator[list[str]]:
-    """The pairs of gates that somebody was seen at both of, over the whole footage."""
+    """Yield the pairs of gates with movements between them, over the whole footage."""
     for one in report.turning_total:
         if NO_GATE not in (one.origin, one.destination):
             sides = [f"{gate} ({direction})" for gate, direction in (one.origin, one.destination)]

@@ -1,8 +1,8 @@
-"""Movements: which gate, and in which direction, each road user crossed after which.
+"""Turning movements: pairs of gates and directions that a road user crosses one after the other.
 
-Each crossing is once a row's, as where somebody comes from, and once a column's, as where somebody goes. Who was not
-seen before or after has a column or row of its own, so that rows and columns add up to the gates' counts, U-turns and
-all.
+In the matrix of movements each crossing counts once in a row, as an origin, and once in a column, as a destination.
+Road users that were not seen before or after have a separate row or column. Rows and columns therefore add up to the
+counts of the gates, including U-turns.
 """
 
 import itertools
@@ -27,23 +27,25 @@ GateDirection = tuple[str, str]
 LOST_PRIOR: Final = (0.2, 0.2)
 """Beta distribution of the share of lost road users on each movement."""
 NOTHING_MISSED: Final = (0.0, 1.0)
-"""Beta distribution of the missed share if nobody is there."""
+"""Beta distribution of the missed share if there are no road users: the share is 0."""
 NO_GATE: Final[GateDirection] = ("", "")
-"""No gate before, or after."""
+"""Origin or destination of a road user that crossed no gate before or after."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Movement:
-    """A road user crosses one gate and then the next one; None: it is seen at no gate before, or after."""
+    """Movement of a road user from one gate to the next."""
 
     origin: GateCrossing | None
+    """Crossing of the first gate; None: not seen at a gate before `destination`."""
     destination: GateCrossing | None
+    """Crossing of the next gate; None: not seen at a gate after `origin`."""
     same: float = 1.0
-    """Probability that both are one road user's."""
+    """Probability that both crossings belong to the same road user."""
 
     @property
     def time_s(self) -> float:
-        """Time at which it crosses the first of the two gates that it is seen at, seconds."""
+        """Time of the first known crossing, seconds."""
         return self._first.time_s
 
     @property
@@ -64,29 +66,28 @@ class Movement:
 
     @property
     def probability(self) -> float:
-        """Probability that it happened: both of its crossings did, and are one road user's."""
+        """Probability that the movement happened: both crossings are real and belong to the same road user."""
         return self.same * min(one.probability for one in (self.origin, self.destination) if one is not None)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TurningMovementCount:
-    """Number that went from one gate to another in an interval."""
+    """Number of road users that moved from one gate to another in an interval."""
 
     interval: ClockInterval
     origin: GateDirection
     destination: GateDirection
     class_name: str
-    """`VEHICLE_CATEGORY` for those on more than two wheels, or `ALL_CLASSES`."""
+    """`VEHICLE_CATEGORY` for vehicles with more than two wheels, or `ALL_CLASSES`."""
     count: int | None
-    """None: nothing was observed."""
+    """Number of counted movements; None if nothing was observed."""
     expected: CountInterval | None
-    """Between which numbers the truth is; None where nothing was observed, where too few of them are seen at one of the
-    two gates, where people on foot are among those at either, or for who was not seen at one of the two: these went
-    somewhere in truth."""
+    """90% interval of the true number. None if nothing was observed, if too few road users are detected at one of the
+    gates, if pedestrians use either gate, or if origin or destination is not known."""
 
 
 def on_foot(movement: Movement) -> bool:
-    """Whether somebody walks."""
+    """Return whether the road user of a movement is a pedestrian."""
     return movement.trajectory.category == PEDESTRIAN_CATEGORY
 
 
@@ -97,16 +98,16 @@ def _side(crossing: GateCrossing | None) -> GateDirection:
 def movements(
     crossings: Sequence[GateCrossing], settings: TrafficSettings, step_s: float | None = None
 ) -> list[Movement]:
-    """The movements between the gates that `settings.turning` names, or all, in order of time.
+    """Return the movements between the gates that `settings.turning` names, or between all gates, in order of time.
 
-    A track that is more probably two road users' than one's between two gates makes no movement: somebody crosses the
-    one and is not seen after, and somebody the other and is not seen before.
+    If a track probably switches to another road user between two gates, it makes two movements: one without a
+    destination, and one without an origin.
 
     Args:
-        crossings: Everyone at all gates.
-        settings: Which gates count.
-        step_s: Usual time from place to place in the footage (`usual_step`); None: no track is two road users', or how
-            probable that is is not known.
+        crossings: All counted crossings of all gates.
+        settings: The gates that are used.
+        step_s: Usual time between positions in the footage (`usual_step`), seconds. None: tracks are assumed not to
+            switch.
     """
     chosen = [one for one in crossings if settings.turning is None or one.gate in settings.turning]
     by_track: dict[int, list[GateCrossing]] = {}
@@ -122,7 +123,7 @@ def movements(
 
 
 def _between(before: GateCrossing | None, after: GateCrossing | None, step_s: float | None) -> list[Movement]:
-    """Movements of two crossings of a track that follow each other: one, or two that lack the other gate."""
+    """Return the movements of two consecutive crossings of a track: one, or two with an unknown gate each."""
     if before is None or after is None or step_s is None:
         return [Movement(origin=before, destination=after)]
     same = same_probability(before.trajectory, before.time_s, after.time_s, step_s)
@@ -139,19 +140,19 @@ def turning_counts(
     settings: TrafficSettings,
     missed: MissedCrossings,
 ) -> list[TurningMovementCount]:
-    """The matrix of each interval: a count for each pair that anybody has driven in the whole footage.
+    """Return the matrix of each interval: a count for each pair of gates that occurs in the whole footage.
 
-    Each pair has a count of all, and of vehicles where others are counted too. A movement counts in the interval of the
-    crossing that it comes from, or, without one, of that which it goes to.
+    Each pair has a count of all road users, and of vehicles if other classes are counted too. A movement belongs to the
+    interval of its first known crossing.
 
     Args:
         found: All movements.
-        gates: All gates; `settings.turning` may name those that count.
+        gates: All gates; `settings.turning` may limit them.
         intervals: The intervals.
-        observation: When was observed.
+        observation: The observed times.
         settings: The classes that are counted.
-        missed: Who may have crossed and is not counted. Of the two gates of a movement that one counts which misses
-            more, with what hand counts tell of it.
+        missed: Road users that may have crossed and are not counted. A movement uses the miss rates, after manual
+            counts, of whichever of its two gates misses more.
     """
     chosen = [gate for gate in gates if settings.turning is None or gate.name in settings.turning]
     kinds = {
@@ -184,7 +185,7 @@ def turning_counts(
 
 
 def _missed_more(origin: Sequence[MissRateGroup], destination: Sequence[MissRateGroup]) -> list[MissRateGroup]:
-    """The kinds as the one of two gates misses them that misses more of them."""
+    """Return for each group the miss rates of the gate that misses more of it."""
     pairs = zip(origin, destination, strict=True)
     return [max(alike, key=lambda kind: (kind.too_small, kind.mean_missed)) for alike in pairs]
 
@@ -195,10 +196,11 @@ def _expected(
     kinds: Sequence[MissRateGroup],
     classes: Collection[str],
 ) -> CountInterval | None:
-    """Interval of a count. Road users that were lost after the first gate may have gone this way: nearly none of them,
-    or nearly all, as where they went has no gate, or has one that loses them.
+    """Return the interval of a count; None if pedestrians use either gate or too few road users are detected.
 
-    None where people are among those at either gate: more than half of their tracks go over to others on the way.
+    Road users lost after the first gate may have made this movement: nearly none of them or nearly all. The share is
+    extreme because their destination has no gate, or has a gate that loses them. Movements with pedestrians have no
+    interval because more than half of the tracks of pedestrians switch to another pedestrian between gates.
     """
     if any(on_foot(one) and (one.sides[0] == pair[0] or one.sides[1] == pair[1]) for one in members):
         return None
@@ -211,7 +213,7 @@ def _expected(
             return None
         false = [1 - kind.real * one.probability for one in own if one.sides == pair]
         lost = sum(one.sides == (pair[0], NO_GATE) for one in own)
-        # Where only lost ones may have gone this way, none is missed in addition: those who are seen tell that.
+        # If only lost road users may have made this movement, no further ones are assumed to be missed.
         missed = kind.missed if false or not lost else NOTHING_MISSED
         errors.append(CountErrors(false, possible=lost, came=LOST_PRIOR, missed=missed))
     return CountDistribution(sum(len(one.false) for one in errors), errors).interval()

@@ -1,6 +1,6 @@
-"""The files of a traffic report: events and trajectories apart, a table for each measure, and a summary.
+"""Files of a traffic report: events, trajectories, one table per measure, and a summary.
 
-Cells are empty where there is nothing to say.
+Cells without a value are empty.
 """
 
 import math
@@ -30,8 +30,8 @@ def write_traffic_report(
 
     Args:
         out: The folder.
-        report: What was measured.
-        tracks: What the tracks were read from, for the summary.
+        report: The report.
+        tracks: Names of the folders or files that the tracks were read from, for the summary.
         revision: Digest of the site file; None: there is none.
 
     Returns:
@@ -62,12 +62,12 @@ def _recordings(report: TrafficReport) -> list[dict[str, Any]]:
 
 
 def report_summary(report: TrafficReport, *, tracks: str | list[str], revision: str | None) -> dict[str, Any]:
-    """The totals of a result, and what it was made of and by, so that it can be made again.
+    """Return the totals of a report with its inputs and versions, so that it can be reproduced.
 
     Args:
-        report: What was measured.
-        tracks: What the tracks were read from; of several recordings a list.
-        revision: Of the site file; None: there is none.
+        report: The report.
+        tracks: Name of the folder or file that the tracks were read from; a list for several recordings.
+        revision: Digest of the site file; None: there is none.
     """
     observation = report.observation
     spans = observation.spans

@@ -1,4 +1,4 @@
-"""Road users in a zone, from when to when."""
+"""Visits of road users to zones."""
 
 import math
 from collections.abc import Sequence
@@ -17,34 +17,35 @@ from skope.types import Array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ZoneVisit:
-    """The body's middle in a zone."""
+    """Visit of a road user to a zone, by the centre of its body."""
 
     trajectory: Track
     zone: str
     enter_s: float
-    """Seconds; NaN where the track begins inside."""
+    """Time of entry, seconds; NaN if the track begins inside."""
     leave_s: float
-    """Seconds; NaN where it ends inside."""
+    """Time of exit, seconds; NaN if the track ends inside."""
     seen_s: tuple[float, float]
-    """From when to when it is seen inside."""
+    """First and last time at which the road user is seen inside, seconds."""
     sigmas_s: tuple[float, float]
-    """Standard deviations of the two times, seconds; NaN for one that is not seen."""
+    """Standard deviations of `enter_s` and `leave_s`, seconds; NaN for a time that is NaN."""
 
     @property
     def dwell_s(self) -> float:
-        """Seconds from entering to leaving; NaN where one of the two is not seen."""
+        """Time from entry to exit, seconds; NaN if either was not seen."""
         return self.leave_s - self.enter_s
 
     @property
     def dwell_sigma_s(self) -> float:
-        """Standard deviation of the dwell time, seconds; NaN where there is none."""
+        """Standard deviation of the dwell time, seconds; NaN if there is no dwell time."""
         return math.hypot(*self.sigmas_s)
 
 
 def inside_polygon(polygon: Array, places: Array) -> NDArray[np.bool_]:
-    """(M,) whether places (M, 2) are inside a polygon (N, 2), by the number of its sides that a ray to the right meets.
+    """Return (M,) whether positions (M, 2) are inside a polygon (N, 2).
 
-    Sides are half-open, so that of two polygons with a side in common one has each place on it.
+    The number of sides that a ray to the right meets is odd for positions inside. Sides are half-open: a position on
+    the common side of two polygons is inside exactly one of them.
     """
     a, b = polygon, np.roll(polygon, -1, axis=0)
     x, y = places[:, :1], places[:, 1:]
@@ -55,7 +56,7 @@ def inside_polygon(polygon: Array, places: Array) -> NDArray[np.bool_]:
 
 
 def depth_in_polygon(polygon: Array, places: Array) -> Array:
-    """(M,) distances of places (M, 2) from the border of a polygon (N, 2), negative outside, metres."""
+    """Return (M,) distances of positions (M, 2) from the border of a polygon (N, 2), negative outside, metres."""
     a, step = polygon, np.roll(polygon, -1, axis=0) - polygon
     away = places[:, None] - a
     length = np.maximum((step**2).sum(axis=1), 1e-12)
@@ -65,12 +66,12 @@ def depth_in_polygon(polygon: Array, places: Array) -> Array:
 
 
 def visits(trajectories: Sequence[Track], zones: Sequence[Zone], settings: TrafficSettings) -> list[ZoneVisit]:
-    """All visits of all zones, by when they are first seen.
+    """Return all visits to all zones, in order of the time at which they are first seen.
 
     Args:
-        trajectories: All tracks; those that are confirmed and of a class that is counted visit.
+        trajectories: All tracks. Only confirmed tracks of counted classes make visits.
         zones: The zones.
-        settings: The classes, and how far over the edge somebody has to come.
+        settings: The classes, and the hysteresis at the border.
     """
     found = [
         visit
@@ -114,7 +115,7 @@ def _of_one(trajectory: Track, zone: Zone, settings: TrafficSettings) -> list[Zo
 
 
 def _sigma_s(trajectory: Track, time_s: float) -> float:
-    """Standard deviation of a time at which a border is crossed, seconds; NaN for none."""
+    """Return the standard deviation of a time of entry or exit, seconds; NaN if the time is NaN."""
     if math.isnan(time_s):
         return math.nan
     return trajectory.sigma_at(time_s) / max(float(trajectory.at(trajectory.speed, time_s)), 0.05)

@@ -59,7 +59,7 @@ def test_figures_of_other_road_users_stand_beside_those_of_vehicles(
     sizes = [size for size, figures in motorcycle.items() if size == "all" or figures["detections"]]
     assert sum(" motorcycle " in line for line in said.splitlines()) == len(sizes)
     page = Path("eval/report.html").read_text()
-    assert "People on foot and on two wheels" in page
+    assert "Pedestrians and two-wheelers" in page
     assert re.search(r'data-tip="pedestrian \d+"', page), "labelled ones in the pictures"
     assert re.search(r'data-tip="(bicycle|motorcycle|pedestrian), score 0\.\d\d"', page), "and those that are found"
     vehicles, others = apart(coco.iter_all_results(Path("eval/predictions_easy.json")))

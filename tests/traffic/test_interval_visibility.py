@@ -35,7 +35,7 @@ def test_seconds_that_are_dark_flat_or_after_a_move_are_counted_once() -> None:
     both[100:, 1] = 0.0  # dark too after the move
     assert interval_visibility(replace(seen, visibility_samples=both), 0.0, 60.0).poor_s == pytest.approx(28.0)
     (line,) = sight_lines(seen)
-    assert "5 s dark, 3 s without contrast, 20 s of another view, as the camera had been moved" in line
+    assert "5 s dark, 3 s without contrast, 20 s with the camera moved to another view" in line
     # A calibration of the later part: dark from 5 to 10 s is of the other view.
     turned = Observation(times_s=np.arange(80, 600) / 10, moved_s=np.arange(80) / 10, visibility_samples=LOOKS)
     found = interval_visibility(turned, 0.0, 60.0)
@@ -81,7 +81,7 @@ def test_the_report_marks_its_intervals(tmp_path: Path) -> None:
         ("60.000", "8.000"),
     }
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert any(line.startswith("the camera saw little: 10 s dark") for line in summary["notes"])
+    assert any(line.startswith("poor visibility: 10 s dark") for line in summary["notes"])
 
 
 def test_what_is_written_is_read_again_and_what_is_wrong_is_said(tmp_path: Path) -> None:

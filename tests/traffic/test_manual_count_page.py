@@ -200,7 +200,7 @@ def test_a_clip_counted_with_keys_is_read_back_by_the_command(
         # Nobody leaves out a part: to jump ahead leads back.
         click(browser, "ahead")
         browser.until("document.getElementById('hand-video').currentTime < 3")
-        assert "a count has no holes" in note(browser)
+        assert "A count must not skip any part" in note(browser)
         # With the mouse, while it plays, at half the speed.
         browser.press("-")
         browser.press("-")
@@ -215,7 +215,7 @@ def test_a_clip_counted_with_keys_is_read_back_by_the_command(
         step_to(browser, 5.4)
         browser.press("2")
         click(browser, "finish")
-        assert "1 that you pressed after 0:00:05 are not in it" in browser.run("document.body.textContent")
+        assert "1 key presses after 0:00:05 are excluded" in browser.run("document.body.textContent")
         rows = rows_of(browser)
         assert rows[:2] == [
             [f"{HOSTILE} (east)", "3", "3", "0 (0 %)", "0.0"],
@@ -229,7 +229,7 @@ def test_a_clip_counted_with_keys_is_read_back_by_the_command(
         click(browser, "begin")
         step_to(browser, seconds(browser) + 1.2)
         click(browser, "finish")
-        assert "was counted twice at one time" in browser.run("document.getElementById('hand-done').textContent")
+        assert "overlap in time" in browser.run("document.getElementById('hand-done').textContent")
         assert browser.run("document.getElementById('hand-download')") is None
         assert browser.run("document.title").startswith("Traffic: "), "names are text"
         assert not browser.told("Runtime.exceptionThrown")
@@ -263,14 +263,14 @@ def test_what_cannot_be_counted_is_said(chromium_pages: Pages, counted: Path, tm
         assert "ffmpeg -i VIDEO" in note(browser)
         assert not browser.run("document.getElementById('hand').classList.contains('hand-ready')")
         played(browser, counted / "short.webm")
-        assert "lasts 0:00:02, the footage that was measured 0:00:08" in note(browser)
+        assert "lasts 0:00:02, the measured footage 0:00:08" in note(browser)
         played(browser, counted / "clip.webm")
         assert note(browser) == ""
         assert browser.run("document.documentElement.scrollWidth") <= 390
         browser.run("document.getElementById('hand-video').currentTime = 4")
         browser.until("!document.getElementById('hand-video').seeking")
         click(browser, "begin")
-        assert "At 0:00:04 nothing was observed" in note(browser)
+        assert "Nothing was observed at 0:00:04" in note(browser)
         browser.run("document.getElementById('hand-video').currentTime = 5")
         browser.until("!document.getElementById('hand-video').seeking")
         browser.run("document.querySelector('[name=hand-what][value=movements]').click()")
@@ -353,7 +353,7 @@ def test_too_many_crossings_are_left_out_and_said(monkeypatch: pytest.MonkeyPatc
     report = report_of()
     data = manual_count_data(report, None)
     assert (data["crossings"], data["movements"]) == (None, None)
-    assert "The page does not hold so many crossings" in traffic_page(report, tracks="t")
+    assert "There are too many crossings for this page" in traffic_page(report, tracks="t")
 
 
 def test_clocks_that_change_meanwhile_are_told() -> None:

@@ -162,7 +162,7 @@ def test_a_hand_count_that_cannot_be_is_said_to_contradict_and_believed_by_half(
     (check,) = wrong.manual_count_checks
     assert check.contradicts
     (line,) = (line for line in wrong.notes if "contradict" in line)
-    assert "gate 'g' (west), all from 0 s to 606 s: 0 counted by hand, 100 by skope" in line
+    assert "gate 'g' (west), all from 0 s to 606 s: manual count 0, skope 100" in line
     told = between(wrong, "g", "west")
     assert told.low < 10
     assert told.high >= between(plain, "g", "west").low
@@ -213,7 +213,8 @@ def test_nothing_is_learnt_where_nobody_was_ever_seen() -> None:
     assert (checks[0].expected, checks[0].contradicts) == (None, False)
     assert counts_adjusted_by_hand(checks, [], unseen, [GATE], settings).learnt == {}
     assert list(hand_lines(checks)) == [
-        "gate 'far' (west), all from 0 s to 60 s: 3 counted by hand where nobody was ever seen: its counts stay unknown"
+        "gate 'far' (west), all from 0 s to 60 s: manual count 3, but no road user was ever detected near the gate: "
+        "its counts stay unknown"
     ]
 
 
@@ -235,7 +236,7 @@ def read(
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        ("", "holds no count"),
+        ("", "expected at least one count, found none"),
         ("x,west,,0,60,1", "line 2: gate: expected one of g, got 'x'"),
         ("g,north,,0,60,1", "line 2: direction: expected one of west, east, got 'north'"),
         ("g,west,tram,0,60,1", "line 2: class: expected one of , all, motor, car, bus, pedestrian, got 'tram'"),
@@ -246,14 +247,14 @@ def read(
         ("g,west,,-2,60,1", "line 2: begin: '-2' is not within the footage"),
         ("g,west,,soon,60,1", "line 2: begin: expected seconds, a time like 10:15:00 or 2026-11-26T10:15:00"),
         ("g,west,,nan,60,1", "line 2: begin: expected seconds"),
-        ("g,west,,10:00,60,1", "line 2: begin: expected seconds: neither start in the site nor --start-time says"),
+        ("g,west,,10:00,60,1", "line 2: begin: expected seconds: the start of the footage is not known"),
         ("g,west,,0,60,-1", "line 2: count: expected a whole number from 0 to 100000, got '-1'"),
         ("g,west,,0,60,1.5", "line 2: count: expected a whole number from 0 to 100000, got '1.5'"),
         ("g,west,,0,60,1000000", "line 2: count: expected a whole number"),
         ("g,west,,0,60", "line 2: count: expected a whole number from 0 to 100000, got ''"),
-        ("g,west,car,0,60,1\ng,west,car,0,60,1", "line 3: holds the same as line 2"),
-        ("g,west,car,0,60,1\ng,west,,59,90,1", "line 3: has the same gate, direction, some class and some time as"),
-        ("g,west,car,0,60,1\ng,west,motor,30,40,1", "line 3: has the same gate"),
+        ("g,west,car,0,60,1\ng,west,car,0,60,1", "line 3: repeats line 2"),
+        ("g,west,car,0,60,1\ng,west,,59,90,1", "line 3: has a gate, direction, class and time in common with"),
+        ("g,west,car,0,60,1\ng,west,motor,30,40,1", "line 3: has a gate, direction, class and time in common"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_in_a_file_is_said_by_line_and_column(tmp_path: Path, rows: str, said: str) -> None:
@@ -268,7 +269,7 @@ def test_columns_and_gaps(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="column class: missing; expected gate,direction,class,begin,end,count"):
         read_manual_counts(tmp_path / "c.csv", [GATE], TrafficSettings(), None, watched(9.0))
     gap = Observation(times_s=np.concatenate([np.arange(0, 60), np.arange(120, 200)]).astype(float))
-    with pytest.raises(UserError, match="line 2: begin: not all from here to end was observed"):
+    with pytest.raises(UserError, match="line 2: begin: the footage has a gap from begin to end"):
         read(tmp_path, "g,west,,50,130,1", observation=gap)
     rows = "g,west,car,0,60,1\ng,west,bus,0,60,1\ng,east,car,0,60,1\ng,west,car,60,90,1"
     assert [one.number for one in read(tmp_path, rows)] == [1, 1, 1, 1]
@@ -289,7 +290,7 @@ def test_times_are_seconds_or_the_clocks(tmp_path: Path) -> None:
         assert one.interval.end is not None
         assert one.interval.end.isoformat() == "2026-11-27T00:05:00+01:00"
     days = watched(2 * 86400.0, 0.5)
-    with pytest.raises(UserError, match="begin: '23:55' comes more than once in the footage: give the day"):
+    with pytest.raises(UserError, match="begin: '23:55' occurs more than once in the footage: add the date"):
         read(tmp_path, "g,west,,23:55,23:58,1", start, days)
     with pytest.raises(
         UserError, match=r"end: '10:00' is not within the footage \(0.0 to 900.1 s, 2026-11-26T23:50:00"
@@ -297,7 +298,7 @@ def test_times_are_seconds_or_the_clocks(tmp_path: Path) -> None:
         read(tmp_path, "g,west,,0,10:00,1", start)
     # Clocks go back half an hour at two in the morning.
     night = datetime(2026, 4, 5, 1, 0, tzinfo=LORD_HOWE)
-    with pytest.raises(UserError, match="begin: '01:45' comes more than once"):
+    with pytest.raises(UserError, match="begin: '01:45' occurs more than once"):
         read(tmp_path, "g,west,,01:45,02:30,1", night, watched(7200.0, 0.5))
     (one,) = read(tmp_path, "g,west,,01:15,02:30,1", night, watched(7200.0, 0.5))
     assert (one.interval.begin_s, one.interval.end_s) == (900.0, 7200.0)

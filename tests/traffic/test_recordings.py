@@ -224,7 +224,7 @@ def test_a_begin_in_a_name_is_a_guess_and_said() -> None:
     for k, name in enumerate(names(2)):
         write(name, tracks, 60 * k, 60 * k + 60)
     refused = door.measure_traffic(names(2), "site.toml").notes
-    assert any("2 of 2 recordings are taken to begin when the names of their footage say" in line for line in refused)
+    assert any("2 of 2 recordings: the start is guessed from the name of the footage" in line for line in refused)
 
 
 def test_begins_that_are_known_to_a_second_leave_no_overlap() -> None:
@@ -234,15 +234,15 @@ def test_begins_that_are_known_to_a_second_leave_no_overlap() -> None:
     start_time = ["2026-11-26T10:00:00", "2026-11-26T10:01:00"]
     report = door.measure_traffic(["a", "b"], "site.toml", start_time=start_time)
     assert report.observation.spans[1, 0] == pytest.approx(60.4)
-    assert any("begin up to 0.40 s before the one before has ended (b is the first)" in line for line in report.notes)
+    assert any("begin up to 0.40 s before the previous recording ends (first: b)" in line for line in report.notes)
 
 
 @pytest.mark.parametrize(
     ("start_time", "said"),
     [
-        (["10:00:00", "10:00:58"], "b: begins at 2026-11-26T10:00:58+01:00, before a has ended (2026-11-26T10:01:00"),
-        (["10:00:00"], "--start-time: expected a time for each of 2 recordings, in their order, got 1"),
-        ([], "a: not known when it begins: --start-time says it once for each recording"),
+        (["10:00:00", "10:00:58"], "b: begins at 2026-11-26T10:00:58+01:00, before a ends (2026-11-26T10:01:00"),
+        (["10:00:00"], "--start-time: expected one time for each of 2 recordings, in their order; got 1"),
+        ([], "a: the start time is not known: give --start-time once for each recording"),
         (["10:00:00", "noon"], "--start-time: expected a time like 2026-11-26T10:00:00, got '2026-11-26Tnoon'"),
     ],
 )
@@ -264,15 +264,15 @@ def test_a_recording_is_not_counted_twice(skope: Skope) -> None:
     write("a", vehicles(1), 0, 60)
     shutil.copytree("a", "b")
     start_time = ["2026-11-26T10:00:00", "2026-11-26T10:01:00"]
-    with pytest.raises(UserError, match=r"b/tracks.csv: holds the same tracks as a/tracks.csv"):
+    with pytest.raises(UserError, match=r"b/tracks.csv: contains the same tracks as a/tracks.csv"):
         door.measure_traffic(["a", "b"], "site.toml", start_time=start_time)
-    with pytest.raises(UserError, match=r"a: is given twice"):
+    with pytest.raises(UserError, match=r"a: given twice"):
         door.measure_traffic(["a", "./a"], "site.toml", start_time=start_time)
     write("c", vehicles(2), 60, 120)
     with pytest.raises(UserError, match="more than 31 days after a"):
         door.measure_traffic(["a", "c"], "site.toml", start_time=[start_time[0], "2027-11-26T10:01:00"])
     write("none", [], 0, 0, start_time=datetime(2026, 11, 26, 12, tzinfo=UTC))
-    with pytest.raises(UserError, match=r"none/footage\.json: times_s: holds no frame"):
+    with pytest.raises(UserError, match=r"none/footage\.json: times_s: expected at least one frame"):
         door.measure_traffic(["a", "none"], "site.toml", start_time=start_time)
     with pytest.raises(ValueError, match="not both"):
         door.measure_traffic(["a", object()], "site.toml")  # type: ignore[arg-type]
@@ -282,7 +282,7 @@ def test_a_recording_is_not_counted_twice(skope: Skope) -> None:
     Path("a/footage.json").write_text(json.dumps({**document, "start_time": "2026-11-26T10:00:00"}))
     code, _, err = skope("eval", "traffic", "a", "--out", "r")
     assert (code, err.count("\n")) == (2, 1)
-    assert "a/footage.json: start_time: expected a time with its offset" in err
+    assert "a/footage.json: start_time: expected a time with its UTC offset" in err
 
 
 def test_cameras_that_were_calibrated_again_are_taken_with_care() -> None:
@@ -294,13 +294,13 @@ def test_cameras_that_were_calibrated_again_are_taken_with_care() -> None:
     assert seen.common_scale_sigma == 0.03
     first_px, second_px = (part.pixels_per_metre(np.zeros(2)) or 0.0 for part in seen.parts)
     assert seen.pixels_per_metre(np.zeros(2)) == second_px < first_px / 2
-    assert any("known to 1.00% in one recording and to 3.00% in another" in line for line in report.notes)
-    assert any("other calibrations of the camera" in line for line in report.notes)
+    assert any("the calibration error is 1.00% in one recording and 3.00% in another" in line for line in report.notes)
+    assert any("recordings differ in the calibration of the camera" in line for line in report.notes)
 
     write("third", [], 0, 60, common_scale_sigma=None, start_time=datetime(2026, 11, 26, 12, tzinfo=UTC))
     unknown = door.measure_traffic([*names(2), "third"], "site.toml")
     assert unknown.observation.common_scale_sigma is None
-    assert any("is said of 2 of 3 recordings alone" in line for line in unknown.notes)
+    assert any("only 2 of 3 recordings have a camera with covariance" in line for line in unknown.notes)
     assert not any(one.common_known for one in unknown.speeds)
 
 
@@ -314,7 +314,7 @@ def test_a_count_by_hand_may_go_over_a_seam_but_not_over_a_gap(skope: Skope) -> 
     (check,) = door.measure_traffic([*names(2), "after"], "site.toml", manual_count="h.csv").manual_count_checks
     assert (check.count, check.hand.number) == (14, 14)
     Path("h.csv").write_text(f"{head}west,in,all,10:01,10:03,14\n")
-    with pytest.raises(UserError, match="not all from here to end was observed"):
+    with pytest.raises(UserError, match="the footage has a gap from begin to end"):
         door.measure_traffic([*names(2), "after"], "site.toml", manual_count="h.csv")
 
 
@@ -329,7 +329,7 @@ def test_tracks_know_when_their_footage_began(skope: Skope) -> None:
     call = ("eval", "track", "--annotations", "road.json", "--out", "t", "-q")
     code, _, err = skope(*call, "--start-time", "2026-11-26T10:00:00")
     assert (code, err.count("\n"), Path("t").exists()) == (2, 1, False)
-    assert "--start-time: expected a time with its offset" in err
+    assert "--start-time: expected a time with its UTC offset" in err
     assert skope(*call, "--start-time", "2026-11-26T10:00:00+01:00")[0] == 0
     assert door.measure_traffic("t", "site.toml").start == datetime(2026, 11, 26, 9, tzinfo=UTC)
     code, _, err = skope(*call, "--start-time", "2026-11-26T11:00:00+01:00")

@@ -66,7 +66,7 @@ def test_percentiles_that_cannot_be_told_are_refused_with_the_reason() -> None:
     assert few["v50"].value == 12.0
     assert (few["v85"].value, few["v85"].unavailable_reason) == (None, "5 vehicles: an interval needs 19")
     noisy = speed_percentiles(np.random.default_rng(0).normal(10, 1, 50).tolist(), [1.0] * 50, None)
-    assert noisy["v85"].unavailable_reason == "speeds vary hardly more than they are uncertain"
+    assert noisy["v85"].unavailable_reason == "the spread of the speeds is too small compared with their errors"
     assert speed_percentiles([], [], None)["v50"].value is None
 
 

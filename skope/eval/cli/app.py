@@ -1,4 +1,4 @@
-"""`skope eval`: measuring by itself, and its subcommands."""
+"""`skope eval` and its subcommands."""
 
 from skope.eval.cli.camera import estimate_camera
 from skope.eval.cli.evaluate import calibrate_scores, compare_runs, evaluate_or_score, view

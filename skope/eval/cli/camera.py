@@ -21,20 +21,18 @@ def estimate_camera(
         data_option(
             metavar=FILE_METAVAR,
             help="Marked points instead of vehicles: CSV with column, row, x, y, z in pixels and metres (or longitude, "
-            "latitude), OTVision's .otrfpts, or a site.toml with all that [calibration] can hold.",
+            "latitude), OTVision's .otrfpts, or a site.toml with [calibration].",
         ),
     ] = None,
     size: Annotated[
         str | None,
         data_option(
-            metavar=SIZE_METAVAR, help="Size of the image that --points were marked in; a site.toml may say it."
+            metavar=SIZE_METAVAR, help="Size of the image in which --points were marked; a site.toml may contain it."
         ),
     ] = None,
-    max_vehicles: Annotated[int, counts(least=5, help="Use at most so many vehicles.")] = 40,
-    height: Annotated[
-        float | None, data_option(help="The camera's height over the road, metres, if that is known.")
-    ] = None,
-    fov: Annotated[float | None, data_option(help="The horizontal field of view, degrees, if that is known.")] = None,
+    max_vehicles: Annotated[int, counts(least=5, help="Maximum number of vehicles to use.")] = 40,
+    height: Annotated[float | None, data_option(help="Height of the camera above the road, metres, if known.")] = None,
+    fov: Annotated[float | None, data_option(help="Horizontal field of view, degrees, if known.")] = None,
     length: Annotated[
         list[str] | None,
         data_option(
@@ -58,7 +56,7 @@ def estimate_camera(
         turned(metavar="SOURCE", help="Picture or video (FILE@SECONDS) in which --points were marked, for --refit."),
     ] = None,
     camera: Annotated[
-        Path | None, turned(metavar=FILE_METAVAR, help="The old camera, for --refit, where its points are not at hand.")
+        Path | None, turned(metavar=FILE_METAVAR, help="The old camera, for --refit, if its points are not available.")
     ] = None,
     out: Annotated[Path, output(metavar=FILE_METAVAR, help="Camera file to write.")] = CAMERA_FILE,
 ) -> None:
@@ -75,14 +73,14 @@ def estimate_camera(
     if refit is not None:
         lines = _refitted(keypoints, refit, picture, points, camera, size, out)
     elif picture is not None or camera is not None:
-        raise UserError("--picture, --camera: are for --refit")
+        raise UserError("--picture, --camera: need --refit")
     elif points is not None:
         if height is not None or fov is not None or length:
             raise UserError(
-                "--height, --fov and --length: help vehicles; beside points [calibration] of a site.toml says them"
+                "--height, --fov and --length: apply to vehicles; with --points, use [calibration] of a site.toml"
             )
         if keypoints.folder or keypoints.annotations or keypoints.predictions:
-            raise UserError("--points stands alone: no folder, --annotations or --predictions with it")
+            raise UserError("--points: cannot be combined with a folder, --annotations or --predictions")
         lines = camera_from_marks(points, size, out)
     else:
         lines = from_vehicles(
@@ -102,7 +100,7 @@ def estimate_camera(
     if keypoints.folder:
         drawn = _picture(keypoints.folder, out, console)
         if drawn is not None:
-            console.result(f"wrote {drawn}: look whether the grid lies on the road, and the boxes on the vehicles")
+            console.result(f"wrote {drawn}: check that the grid lies on the road, and the boxes on the vehicles")
 
 
 def _refitted(
@@ -117,14 +115,14 @@ def _refitted(
     from skope.camera.fit import refit_camera
 
     if keypoints.folder or keypoints.annotations or keypoints.predictions:
-        raise UserError("--refit stands alone: no folder, --annotations or --predictions with it")
+        raise UserError("--refit: cannot be combined with a folder, --annotations or --predictions")
     if picture is None or (points is None) == (camera is None):
         raise UserError("--refit: needs --picture, and either --points or --camera")
     return refit_camera.refit(picture, refit, points=points, camera=camera, size=size, out=out)
 
 
 def _picture(folder: Path, camera: Path, console: Console) -> Path | None:
-    """A picture of what the camera says, beside its file; None where the footage is not at hand."""
+    """Draw the camera's grid and boxes on an image beside its file; None if the footage is not available."""
     import cv2
 
     from skope.files.output_folders import write_new

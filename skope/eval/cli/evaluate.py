@@ -42,29 +42,29 @@ def calibrate_scores(
     data: Annotated[Path, option(metavar=DIR_METAVAR, help="Dataset folder.")] = DATA_FOLDER,
     split: Annotated[
         str,
-        option(metavar="NAME", help="Split to fit on; of train, the part that training kept for validation."),
+        option(metavar="NAME", help="Split to fit on; train: only the part that training kept for validation."),
     ] = "train",
     last: Annotated[
-        float | None, option(help="Take this share of each recording, at its end.", show_default="see --split")
+        float | None, option(help="Use only this share of each recording, at its end.", show_default="see --split")
     ] = None,
-    score: Annotated[float, option(help="Fit on the keypoints of detections above this.")] = 0.9,
-    max_images: Annotated[int | None, option(least=1, help="Take only so many images.")] = None,
+    score: Annotated[float, option(help="Fit on keypoints of detections with a score above this.")] = 0.9,
+    max_images: Annotated[int | None, option(least=1, help="Maximum number of images.")] = None,
     out: Annotated[
         Path | None,
         option(
             metavar=FILE_METAVAR,
-            help="Checkpoint to write whose own scores are probabilities, boxes' too.",
-            show_default="keypoint scores alone, in a file beside the weights",
+            help="Checkpoint to write, with calibrated keypoint and box scores.",
+            show_default="keypoint scores only, in a file beside the weights",
         ),
     ] = None,
     hardware: MachineOptions,
     console: Console,
 ) -> None:
-    """Turn a checkpoint's keypoint scores into probabilities that a point is visible and near its place.
+    """Calibrate a checkpoint's keypoint scores: probabilities that a keypoint is visible and close to its position.
 
-    With --out, boxes' scores into probabilities that there is one of that category, too.
+    With --out, box scores also become probabilities that there is a road user of that category.
 
-    (`skope eval camera` finds a camera's focal length and tilt.)
+    (`skope eval camera` estimates a camera's focal length and tilt.)
     """
     from skope.detector.fit_score_calibration import CalibrationJob, fit_calibration
 
@@ -90,7 +90,7 @@ def view(
     console: Console,
     port: PortOption = None,
 ) -> None:
-    """Look through predictions beside ground truth in the browser, misses and false alarms first; Ctrl-C ends it."""
+    """Browse predictions beside ground truth, missed vehicles and false positives first; Ctrl-C ends it."""
     from skope.eval.view.results_folder import read_results_folder
     from skope.viewer.server import serve
 
@@ -98,14 +98,12 @@ def view(
 
 
 def compare_runs(
-    folders: Annotated[
-        list[Path], typer.Argument(metavar="FOLDER", help="Folders that `skope eval` wrote (its --out).")
-    ],
+    folders: Annotated[list[Path], typer.Argument(metavar="FOLDER", help="Output folders of `skope eval`.")],
     console: Console,
-    protocol: Annotated[str, option(choices=PROTOCOL_CHOICES, help="What the table shows.")] = "pooled",
-    out: Annotated[Path | None, option(metavar=FILE_METAVAR, help="Also write everything to this JSON file.")] = None,
+    protocol: Annotated[str, option(choices=PROTOCOL_CHOICES, help="Protocol of the table.")] = "pooled",
+    out: Annotated[Path | None, option(metavar=FILE_METAVAR, help="Also write all figures to this JSON file.")] = None,
 ) -> None:
-    """Put evaluations side by side, with paired intervals of their differences from the first."""
+    """Compare evaluations, with paired intervals of their differences from the first."""
     from skope.eval.report import compare
     from skope.files.json_files import json_bytes
     from skope.files.output_folders import write_new
@@ -138,7 +136,7 @@ def evaluate_or_score(
         data_option(
             metavar="PATH",
             help="Checkpoint file, run folder for its newest one, or weights that come with skope.",
-            show_default=f"{RUN_FOLDER} where it is there, else {weights.DEFAULT_WEIGHTS}",
+            show_default=f"{RUN_FOLDER} if it exists, else {weights.DEFAULT_WEIGHTS}",
         ),
     ] = None,
     annotations: Annotated[
@@ -155,13 +153,13 @@ def evaluate_or_score(
         str | None,
         data_option(
             choices=(keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES),
-            help="Keypoint scheme of --predictions; the points that mean the same are scored.",
+            help="Keypoint scheme of --predictions; keypoints that both schemes have are scored.",
             show_default="the ground truth's",
         ),
     ] = None,
     max_images: Annotated[
         int | None,
-        data_option(least=1, help="Take only so many images of a split, by the rule of `skope train`."),
+        data_option(least=1, help="Maximum number of images per split, selected as in `skope train`."),
     ] = None,
     labelled: Annotated[
         str,
@@ -171,30 +169,30 @@ def evaluate_or_score(
         str,
         counts(
             choices=("full", "visible", GIVEN_BOXES),
-            help="Ground-truth boxes, whole or of visible pixels; given: keypoints on the ground truth's own boxes.",
+            help="Ground-truth boxes: whole or of visible pixels; given: predict keypoints on the ground-truth boxes.",
         ),
     ] = "full",
-    score: Annotated[float, counts(help="A detection counts when it scores above this.")] = PAPER_THRESHOLDS.score,
+    score: Annotated[float, counts(help="Score above which a detection counts.")] = PAPER_THRESHOLDS.score,
     alpha: Annotated[
-        float, counts(help="A keypoint is correct within this share of the box's longer edge.")
+        float, counts(help="Maximum error of a correct keypoint, as a share of the box's longer edge.")
     ] = PAPER_THRESHOLDS.alpha,
     iou: Annotated[
         list[str] | None,
         counts(
             metavar=LIST_METAVAR,
-            help="IoU at which a detection matches; several: repeat it or separate by commas.",
+            help="IoU threshold for matching; several: repeat it or separate by commas.",
             show_default=",".join(map(str, PAPER_THRESHOLDS.iou)),
         ),
     ] = None,
     keypoint_score: Annotated[
-        float, counts(help="A keypoint counts as predicted when it scores above this; 0: all, as in the paper.")
+        float, counts(help="Score above which a keypoint counts as predicted; 0: all, as in the paper.")
     ] = 0.0,
     protocol: Annotated[
         str | None,
         output(
             choices=PROTOCOL_CHOICES,
-            help="What the table shows.",
-            show_default="pooled, or paper beside the paper's rows",
+            help="Protocol of the table.",
+            show_default="pooled; paper with --compare",
         ),
     ] = None,
     compare: Annotated[
@@ -203,10 +201,10 @@ def evaluate_or_score(
     ] = None,
     out: Annotated[
         Path | None,
-        output(metavar=DIR_METAVAR, help="Where to write.", show_default="RUN/eval, or eval for a results file"),
+        output(metavar=DIR_METAVAR, help="Output folder.", show_default="RUN/eval, or eval for a results file"),
     ] = None,
     fast: Annotated[
-        bool, machine("--fast", help="Place keypoints only on detections above --score; no AP then.")
+        bool, machine("--fast", help="Predict keypoints only for detections above --score; AP is then not available.")
     ] = False,
     hardware: MachineOptions,
     console: Console,
@@ -227,7 +225,7 @@ def evaluate_or_score(
     splits = separated(split)
     _refuse_mixtures(data, checkpoint, splits, annotations, predictions, boxes)
     if fast and (predictions or boxes == GIVEN_BOXES):
-        raise UserError("--fast is for running a checkpoint that detects vehicles")
+        raise UserError("--fast: needs a checkpoint that detects vehicles; remove --predictions and --boxes given")
     if scheme and not predictions:
         raise UserError("--scheme needs --predictions: a checkpoint's scheme is its own")
     checkpoint = (
@@ -235,7 +233,7 @@ def evaluate_or_score(
     )
     out = out or _default_out(checkpoint)
     if out.exists() and not out.is_dir():
-        raise UserError(f"--out: {out} is a file, expected a folder")
+        raise UserError(f"--out: expected a folder, got the file {out}")
     truth = (
         read_inputs.read_annotations(annotations)
         if annotations
@@ -263,7 +261,7 @@ def evaluate_or_score(
 
 
 def _thresholds(values: list[str] | None) -> tuple[float, ...]:
-    """IoU thresholds from the strictest."""
+    """Return the IoU thresholds, highest first."""
     try:
         return tuple(sorted((float(part) for part in separated(values)), reverse=True))
     except ValueError:
@@ -280,7 +278,7 @@ def _refuse_mixtures(
 ) -> None:
     def clash(a: str, b: str, given_a: Any, given_b: Any, why: str) -> None:
         if given_a and given_b:
-            raise UserError(f"{a} and {b} do not go together: {why}")
+            raise UserError(f"{a} and {b} cannot be combined: {why}")
 
     clash("--predictions", "--checkpoint", predictions, checkpoint, "results are scored as they are")
     clash(
@@ -290,7 +288,7 @@ def _refuse_mixtures(
         boxes == GIVEN_BOXES,
         "only a checkpoint can be run on given boxes",
     )
-    clash("--annotations", "--data", annotations, data, "each says what the ground truth is")
+    clash("--annotations", "--data", annotations, data, "both give the ground truth")
     clash("--annotations", "--split", annotations, splits, "an annotation file is one split")
     if annotations and not predictions:
         raise UserError("--annotations needs --predictions; to run a checkpoint, give its dataset with --data")

@@ -16,7 +16,7 @@ _MOST_PIXELS: Final = 10_000.0
 
 
 def numbers_of(flag: str, text: str) -> list[float]:
-    """The finite numbers of text such as "0,1,2.5"; a UserError names the flag where it is no such list."""
+    """Return the finite numbers of a text like "0,1,2.5"; raise a UserError that names the flag otherwise."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
@@ -27,7 +27,7 @@ def numbers_of(flag: str, text: str) -> list[float]:
 
 
 def check_pixels(flag: str, *values: float | None) -> None:
-    """Raise a UserError that names the flag unless all values, but for None, can be lengths in an image, pixels."""
+    """Raise a UserError that names the flag unless all values are None or plausible lengths in an image, pixels."""
     for value in values:
         if value is not None and not 0 <= value <= _MOST_PIXELS:
             raise UserError(f"{flag}: expected pixels from 0 to {_MOST_PIXELS:g}, got {value:g}")
@@ -43,20 +43,20 @@ data_option, counts, output, machine = map(panel, ("Data", "What counts", "Outpu
 
 PAPER_PROTOCOL = "paper"
 PROTOCOL_CHOICES = ("pooled", PAPER_PROTOCOL)
-"""Ways in which figures of images become one: sums over the split, or the mean of each image's as in the paper."""
+"""Protocols of a figure: from sums over the split, or the mean of per-image figures as in the paper."""
 
 BackendOption = Annotated[
     str,
     machine(
         choices=BACKEND_CHOICES,
-        help="What computes the costly parts; auto: OpenVINO where it is installed and no GPU is.",
+        help="Inference backend. auto: OpenVINO if it is installed and there is no GPU, else torch.",
     ),
 ]
 PrecisionOption = Annotated[
     str,
     machine(
         choices=PRECISION_CHOICES,
-        help="Of the costly parts; auto: the fastest that backend, processor and checkpoint have.",
+        help="Number format of the network. auto: the fastest that backend, processor and checkpoint support.",
     ),
 ]
 
@@ -65,7 +65,7 @@ PrecisionOption = Annotated[
 class MachineOptions:
     """Options on how a checkpoint is run on this machine."""
 
-    device: Annotated[str, machine(metavar="[auto|cpu|cuda|cuda:N]", help="Where to compute.")] = "auto"
+    device: Annotated[str, machine(metavar="[auto|cpu|cuda|cuda:N]", help="Device for computation.")] = "auto"
     backend: BackendOption = "torch"
     precision: PrecisionOption = "float32"
     min_size: Annotated[
@@ -73,7 +73,7 @@ class MachineOptions:
         machine(help="Short side of the image in the network, pixels.", show_default="that of the training"),
     ] = None
     batch_size: Annotated[
-        int | None, machine(help="Images that go through the network together.", show_default="1, on a GPU 8 or 16")
+        int | None, machine(help="Number of images per batch.", show_default="1, on a GPU 8 or 16")
     ] = None
 
     def settings(self, **others: Any) -> "Settings":
@@ -86,7 +86,7 @@ class MachineOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class FastMachineOptions(MachineOptions):
-    """The same for a command whose results need not be those of every other machine to the last digit."""
+    """Machine options for commands that may give slightly different results on different machines."""
 
     backend: BackendOption = "auto"
     precision: PrecisionOption = "auto"

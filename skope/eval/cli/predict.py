@@ -28,50 +28,50 @@ def predict(
         data_option(
             metavar="PATH",
             help="Checkpoint file, run folder for its newest one, or weights that come with skope.",
-            show_default=f"{weights.DEFAULT_WEIGHTS}; of a live stream the first of "
-            f"{', '.join(weights.BY_ACCURACY)} that keeps up",
+            show_default=f"{weights.DEFAULT_WEIGHTS}; for a live stream the first of "
+            f"{', '.join(weights.BY_ACCURACY)} that runs in real time",
         ),
     ] = None,
     camera: CameraOption = None,
-    every: Annotated[int, data_option(help="Take every so many-th frame.")] = 1,
-    start: Annotated[float, data_option(help="Begin at this second of a video.")] = 0.0,
-    end: Annotated[float | None, data_option(help="End at this second of a video.", show_default="its end")] = None,
+    every: Annotated[int, data_option(help="Frame stride: 1 takes every frame, 5 every fifth.")] = 1,
+    start: Annotated[float, data_option(help="Start time in a video, seconds.")] = 0.0,
+    end: Annotated[float | None, data_option(help="End time in a video, seconds.", show_default="its end")] = None,
     fps: Annotated[
         float | None,
         data_option(
-            help="Frames per second of a video whose time stamps are missing or wrong.",
+            help="Frames per second of a video with missing or wrong time stamps.",
             show_default="its time stamps",
         ),
     ] = None,
     tiles: Annotated[
         str,
-        counts(choices=TILE_CHOICES, help="auto: look at parts too where the image is larger than in the network."),
+        counts(choices=TILE_CHOICES, help="auto: also detect in tiles if the image is larger than the network input."),
     ] = "none",
-    score: Annotated[float, output(help="Keep detections above this.")] = KEPT_SCORE,
+    score: Annotated[float, output(help="Keep detections with a score above this.")] = KEPT_SCORE,
     unconfirmed: Annotated[
-        bool, output("--unconfirmed", help="On video, keep also what no other frame confirms.")
+        bool, output("--unconfirmed", help="On video, also keep detections that no other frame confirms.")
     ] = False,
     every_frame: Annotated[
         bool,
         counts(
             "--every-frame",
-            help="Run the detector on every frame of a video; on a CPU it runs twice a second by default, and points "
-            "on the vehicles are followed between.",
+            help="Run the detector on every frame of a video. On a CPU it runs twice per second by default, and points "
+            "on the vehicles are tracked in between.",
         ),
     ] = False,
     strict: Annotated[
-        bool, output("--strict", help="Exit with code 1 where a part of the footage could not be read.")
+        bool, output("--strict", help="Exit with code 1 if a part of the footage could not be read.")
     ] = False,
-    overlay: Annotated[bool, output("--overlay", help="Draw what was found: a video, or images.")] = False,
+    overlay: Annotated[bool, output("--overlay", help="Draw the detections: a video, or images.")] = False,
     blur: Annotated[bool, output("--blur", help="Blur plates, glass and heads in the overlay.")] = False,
     out: Annotated[
         Path | None,
-        output(metavar=DIR_METAVAR, help="Where to write.", show_default=f"{PREDICTION_FOLDER}/ and the source's name"),
+        output(metavar=DIR_METAVAR, help="Output folder.", show_default=f"{PREDICTION_FOLDER}/ and the source's name"),
     ] = None,
     hardware: FastMachineOptions,
     console: Console,
 ) -> None:
-    """Run a detector on footage: COCO results, and overlays. The same command goes on where a stopped one was."""
+    """Run a detector on footage: COCO results, and overlays. The same command resumes a stopped run."""
     from skope.dataset.camera_of_file import fitted_camera, read_camera
     from skope.video.footage import FrameRange, open_footage
 
@@ -80,7 +80,7 @@ def predict(
         source, FrameRange(every=every, start_s=start, end_s=math.inf if end is None else end), fps=fps
     )
     if blur and not overlay:
-        raise UserError("--blur is for the overlay: give --overlay too")
+        raise UserError("--blur: applies to the overlay; add --overlay")
     if overlay and footage.live:
         raise UserError("--overlay: a live stream cannot be read again; record it to a file first")
     settings = hardware.settings(tiles=tiles)

@@ -1,4 +1,4 @@
-"""Options of the commands that take vehicles' keypoints to the road."""
+"""Options of the commands that project keypoints of vehicles onto the road."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
 FITTED_CHOICES = ("auto", "fit")
 _HIGHEST_M = 10_000.0
 
-OutOption = Annotated[Path, output(metavar=DIR_METAVAR, help="Where to write.")]
+OutOption = Annotated[Path, output(metavar=DIR_METAVAR, help="Output folder.")]
 CameraOption = Annotated[
     Path | None,
     data_option(
         metavar=FILE_METAVAR,
-        help="Camera file: of `skope eval camera`, OpenCV (.yml, .xml), TUMTraf (.json), Rope3D (.txt), or an "
+        help="Camera file: from `skope eval camera`, OpenCV (.yml, .xml), TUMTraf (.json), Rope3D (.txt), or an "
         "annotation file.",
         show_default="that of each image",
     ),
 ]
-NoiseOption = Annotated[float, counts(help="Pixels of noise added to ground-truth keypoints.")]
-ScoreOption = Annotated[float, counts(help="Take detections above this.")]
+NoiseOption = Annotated[float, counts(help="Noise added to ground-truth keypoints, pixels.")]
+ScoreOption = Annotated[float, counts(help="Use detections with a score above this.")]
 SigmaOption = Annotated[
     float | None,
     counts(help="Standard deviation of a keypoint, pixels.", show_default="2% of the box's longer edge"),
@@ -57,7 +57,7 @@ class KeypointOptions:
     ] = None
 
     def read(self, camera: Path | None = None, ground: float | None = None) -> "Scene":
-        """The keypoints, with the camera's file and the height of the road as `read_scene` takes them."""
+        """Read the keypoints, with the camera file and the road height, both as in `read_scene`."""
         from skope.pose.keypoint_views import read_scene
 
         return read_scene(self.folder, self.annotations, self.predictions, camera, ground)
@@ -65,24 +65,24 @@ class KeypointOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneOptions(KeypointOptions):
-    """Whose keypoints are taken to the road, and what is known of the camera, the road and the keypoints."""
+    """Options on the source of keypoints, and on the camera, the road and the keypoint errors."""
 
     camera: CameraOption = None
     ground: Annotated[
         str,
         data_option(
             metavar="[auto|fit|none|METRES]",
-            help="Height of the level road in the camera's world; fit: the plane that the vehicles show; auto: 0 "
-            "unless they clearly show another; none: unknown, size tells distance.",
+            help="Road height in the camera's world, metres. auto: 0, or a fitted plane if the vehicles contradict 0; "
+            "fit: fit a plane; none: unknown, distance follows from vehicle size.",
         ),
     ] = "auto"
     score: ScoreOption = KEPT_SCORE
     sigma: SigmaOption = None
 
     def scene(self, *noise: float, console: Console) -> "Scene":
-        """The vehicles' views and the road, fitted if it shall be; says so then.
+        """Return the views of vehicles and the road. Print a line if the road is fitted.
 
-        `noise` are the levels that will be added, of which the first one counts here.
+        `noise` has the noise levels of the run. Only the first is used here.
         """
         from skope.camera.fit.fit_ground import with_fitted_ground
         from skope.camera.fit.write_camera import doubt
@@ -114,18 +114,18 @@ class SceneOptions(KeypointOptions):
         """Folder of the file that lists the images."""
         if self.folder:
             return self.folder
-        assert self.annotations  # `scene` has seen to it
+        assert self.annotations  # ensured by `scene`
         return self.annotations.parent
 
     def claim_output(self, out: Path, command: str, **options: Any) -> None:
-        """Take the output folder of a command for these options and `options`."""
+        """Claim the output folder of a command for these options and `options`."""
         inputs = [self.folder / FRAMES_FILE, self.folder / PREDICTIONS_FILE] if self.folder else []
         inputs += [path for path in (self.annotations, self.predictions, self.camera) if path]
         claim_output(out, command, inputs, {"ground": self.ground, **options, "score": self.score, "sigma": self.sigma})
 
 
 def _ground(text: str) -> float | None:
-    """Height of the plane to begin with; None: no plane."""
+    """Return the initial height of the road plane, metres; None: no plane."""
     if text in FITTED_CHOICES:
         return 0.0
     if text == "none":

@@ -1,4 +1,4 @@
-"""`skope eval site`: a camera calibrated and a road drawn on the screen."""
+"""`skope eval site`: calibrate a camera and draw a site in the browser."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,20 +17,18 @@ def site(
         typer.Argument(metavar="FOOTAGE", help="Image, folder of images or video of the camera. Default: none."),
     ] = None,
     site: Annotated[
-        Path, option(metavar=FILE_METAVAR, help="Site file to open and save; it need not be there.")
+        Path, option(metavar=FILE_METAVAR, help="Site file to open and save; it is created if missing.")
     ] = SITE_FILE,
     points: Annotated[
         Path | None,
         option(
             metavar=FILE_METAVAR,
-            help="Begin with these points: OTVision's .otrfpts, or a CSV file with column,row,x,y,z.",
+            help="Initial points: OTVision's .otrfpts, or a CSV file with column,row,x,y,z.",
         ),
     ] = None,
     size: Annotated[
         str | None,
-        option(
-            metavar=SIZE_METAVAR, help="Size of the empty canvas where there is no footage.", show_default="800x600"
-        ),
+        option(metavar=SIZE_METAVAR, help="Size of the empty canvas if there is no footage.", show_default="800x600"),
     ] = None,
     port: PortOption = None,
 ) -> None:

@@ -14,11 +14,11 @@ def pose(
     console: Console,
     noise: Annotated[
         str,
-        counts(metavar=LIST_METAVAR, help="Pixels of noise added to ground-truth keypoints; several: measure each."),
+        counts(metavar=LIST_METAVAR, help="Noise added to ground-truth keypoints, pixels; several: measure each."),
     ] = "0",
     out: OutOption = POSE_FOLDER,
 ) -> None:
-    """Position, heading and size of each vehicle in metres; with a ground truth, also how far off they are."""
+    """Estimate position, heading and size of each vehicle in metres; with a ground truth, also their errors."""
     from skope.pose.pose_footage import PoseJob, locate_footage
 
     levels = numbers_of("--noise", noise)
@@ -32,15 +32,13 @@ def pose(
 def track(
     options: SceneOptions,
     console: Console,
-    fps: Annotated[
-        float | None, data_option(help="Frames a second.", show_default="the times that the frames carry")
-    ] = None,
+    fps: Annotated[float | None, data_option(help="Frames per second.", show_default="the times of the frames")] = None,
     start_time: Annotated[
         str | None,
         data_option(
             metavar="TIME",
-            help="When second 0 of the footage was, as 2026-11-26T10:00:00+01:00; `skope eval traffic` reads it.",
-            show_default="as a live stream's frames say",
+            help="Time of second 0 of the footage, as 2026-11-26T10:00:00+01:00; for `skope eval traffic`.",
+            show_default="that of a live stream",
         ),
     ] = None,
     noise: NoiseOption = 0.0,
@@ -50,7 +48,7 @@ def track(
     ] = False,
     out: OutOption = DEFAULT_TRACKS,
 ) -> None:
-    """Follow vehicles through footage: tracks in metres with speeds, as CSV, MOTChallenge and SUMO's FCD."""
+    """Track vehicles through footage: tracks in metres with speeds, as CSV, MOTChallenge and SUMO's FCD."""
     from skope.tracking.track_footage import TrackJob, follow_footage
     from skope.traffic.observation import read_start_time
 

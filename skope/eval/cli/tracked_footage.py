@@ -1,4 +1,4 @@
-"""Footage that is detected first, for commands that begin with tracks: in metres with a camera, or in the image."""
+"""Detection and tracking of footage for commands that need tracks: in metres with a camera, else in the image."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -27,24 +27,22 @@ def recorded_video(source: str) -> "Footage":
     """Open a video file.
 
     Raises:
-        UserError: It cannot be read, is a live stream, or holds images without times.
+        UserError: The file cannot be read, is a live stream, or has images without times.
     """
     from skope.video.footage import FrameRange, open_footage
 
     footage = open_footage(source, FrameRange())
     if footage.clip is None:
-        raise UserError(
-            f"{source}: images carry no times: begin with `skope eval predict` and `skope eval track --fps`"
-        )
+        raise UserError(f"{source}: images have no times; run `skope eval predict` and `skope eval track --fps` first")
     if footage.live:
-        raise UserError(f"{source}: is a live stream; record it, or begin with `skope eval predict {source}`")
+        raise UserError(f"{source}: is a live stream; record it, or run `skope eval predict {source}` first")
     return footage
 
 
 def site_at_size(site: "SiteFile", footage: "Footage", console: Console) -> "SiteFile":
-    """The site with its camera, or else the pixels of its gates, at the size of the footage.
+    """Return the site with its camera, or else the pixels of its gates, scaled to the size of the footage.
 
-    A line says so where the camera is scaled.
+    A line is printed if the camera is scaled.
 
     Raises:
         UserError: The camera, or a gate that is counted in the image, has another aspect ratio than the footage.
@@ -63,7 +61,7 @@ def site_at_size(site: "SiteFile", footage: "Footage", console: Console) -> "Sit
 
 
 def gates_at_size(site: "SiteFile", size: tuple[int, int]) -> "SiteFile":
-    """The site with the pixels of its gates in images of a size (width, height).
+    """Return the site with the pixels of its gates scaled to images of a size (width, height).
 
     Raises:
         UserError: A gate was drawn in an image of another aspect ratio; the message names the site file and the gate.
@@ -77,7 +75,7 @@ def gates_at_size(site: "SiteFile", size: tuple[int, int]) -> "SiteFile":
 
 
 def skipped_lines(folder: Path) -> list[str]:
-    """Lines of `skope eval predict` on what could not be read in the footage whose frames lie in a folder."""
+    """Return the lines of `skope eval predict` on unreadable parts of the footage, from its output folder."""
     from skope.dataset import coco
 
     return list(map(str, coco.read(folder / FRAMES_FILE).info.get(SKIPPED_KEY, ())))
@@ -93,23 +91,23 @@ def detected_footage(
     options: Mapping[str, Any],
     console: Console,
 ) -> Path:
-    """Detect and follow in the image what a video shows, in a folder below `out`; a stopped run resumes.
+    """Detect and track road users of a video in the image, in a folder below `out`; a stopped run resumes.
 
     Args:
         footage: The video.
-        site: Its site, which is part of the work.
-        checkpoint: What to detect with.
-        hardware: How to run it.
+        site: Its site, which identifies the run.
+        checkpoint: The detector.
+        hardware: The machine settings.
         out: The output folder of `command`, which is claimed here.
-        command: The command that asks.
-        options: What else its result depends on.
-        console: Where messages go.
+        command: Name of the calling command.
+        options: Further options that the result depends on.
+        console: Console for messages.
 
     Returns:
-        The folder of detections, as `skope eval predict` writes it.
+        The folder of detections, as from `skope eval predict`.
 
     Raises:
-        UserError: The footage cannot be read, or `out` holds other work.
+        UserError: The footage cannot be read, or `out` has the output of another run.
     """
     from skope.footage.predict_footage import predict
     from skope.footage.predict_job import PROGRESS_FILE, PredictJob, content_of
@@ -135,23 +133,23 @@ def tracked_footage(
     options: Mapping[str, Any],
     console: Console,
 ) -> Path:
-    """Detect and track what a video shows, in folders below `out`; a stopped run resumes.
+    """Detect and track road users of a video in metres, in folders below `out`; a stopped run resumes.
 
     Args:
         footage: The video.
-        site: Its site, whose camera took it.
-        checkpoint: What to detect with.
-        hardware: How to run it.
+        site: Its site, with the camera of the video.
+        checkpoint: The detector.
+        hardware: The machine settings.
         out: The output folder of `command`, which is claimed here.
-        command: The command that asks.
-        options: What else its result depends on.
-        console: Where messages go.
+        command: Name of the calling command.
+        options: Further options that the result depends on.
+        console: Console for messages.
 
     Returns:
         The folder of tracks.
 
     Raises:
-        UserError: The footage cannot be read, or `out` holds other work.
+        UserError: The footage cannot be read, or `out` has the output of another run.
     """
     from skope.camera.fit.write_camera import write_camera
     from skope.dataset.camera_of_file import read_camera

@@ -68,11 +68,11 @@ def traffic(
         str,
         output(
             metavar=LIST_METAVAR,
-            help="Further formats to write: excel, parquet, geojson, openlabel, otanalytics, ssam, sumo.",
+            help="Additional output formats: excel, parquet, geojson, openlabel, otanalytics, ssam, sumo.",
             show_default="none",
         ),
     ] = "",
-    out: Annotated[Path, output(metavar=DIR_METAVAR, help="Where to write.")] = TRAFFIC_FOLDER,
+    out: Annotated[Path, output(metavar=DIR_METAVAR, help="Output folder.")] = TRAFFIC_FOLDER,
     hardware: FastMachineOptions,
     console: Console,
 ) -> None:
@@ -97,7 +97,7 @@ def _report(
     hardware: FastMachineOptions,
     console: Console,
 ) -> Iterator[str]:
-    """Measure what the sources are: tracks in metres, what was found in an image, or footage."""
+    """Measure the sources: tracks in metres, detections in the image, or footage."""
     from skope.tracks.csv_file import TRACKS_CSV
     from skope.traffic.exports.formats import checked_formats
     from skope.traffic.observation import FOOTAGE_FILE
@@ -115,7 +115,7 @@ def _report(
 
 
 def _options(start_time: str | list[str] | None, manual_count: Path | None) -> dict[str, Any]:
-    """Options that are part of the work besides its files."""
+    """Return the options that identify a run, in addition to its input files."""
     options: dict[str, Any] = {"start_time": start_time}
     if manual_count is not None:
         options["manual_count"] = sha256_of(manual_count)
@@ -140,7 +140,7 @@ def _report_of_tracks(
     footage = read_recordings(folders, start_time, site, START_TIME_FLAG)
     observation, start = footage.observation, footage.start
     counted = _manual_counts_of(manual_count, site, gates_on_road(site.gates), start, observation)
-    # Of several the files alone do not tell which of them began when.
+    # With several recordings the files alone do not determine their start times.
     several = [f"{one.begin.isoformat()} {sha256_of(one.folder / TRACKS_CSV)[:12]}" for one in footage.recordings]
     options = _options(several or _isoformat(_only_begin(start_time, site)), manual_count)
     ordered = [one.folder for one in footage.recordings] or folders
@@ -164,7 +164,7 @@ def _report_of_footage(
     hardware: FastMachineOptions,
     console: Console,
 ) -> Iterator[str]:
-    """Detect what a video shows, and measure it: in metres with the site's camera, else by its gates in the image."""
+    """Detect road users in a video and measure traffic: in metres with a camera, else at gates in the image."""
     from skope.eval.cli.tracked_footage import (
         SEEN_NAME,
         TRACKS_NAME,
@@ -182,19 +182,19 @@ def _report_of_footage(
     again = out / (SEEN_NAME if site.camera is None else TRACKS_NAME)
     if manual_count is not None:
         raise UserError(
-            f"--manual-count: needs a folder, not footage: `{COMMAND_NAME} {source} --site {site.path} --out "
+            f"--manual-count: expected a folder, got footage; run `{COMMAND_NAME} {source} --site {site.path} --out "
             f"{out}` first, then `{COMMAND_NAME} {again} --site {site.path}` with --manual-count and another --out"
         )
     draw = f"`skope eval site {source} --site {site.path}`"
     if site.camera is None and not any(gate.pixels for gate in site.gates):
         raise UserError(
-            f"{site.path}: gates: expected a gate that is drawn in the image (`pixels`), or a [camera] for metres, got "
-            f"neither; {draw} draws gates and calibrates the camera"
+            f"{site.path}: gates: expected a gate drawn in the image (`pixels`), or a [camera] for metres, got "
+            f"neither; use {draw} to draw gates and calibrate the camera"
         )
     if not site.gates:
         console.warn(
-            f"{site.path}: has no gates: nothing will be counted; {draw} draws them, and `{COMMAND_NAME} {again}` then "
-            "counts without detecting again"
+            f"{site.path}: has no gates: nothing will be counted; use {draw} to draw gates, then `{COMMAND_NAME} "
+            f"{again}` to count without detecting again"
         )
     options = _options(_isoformat(start), None)
     if site.camera is None:
@@ -214,16 +214,17 @@ def _report_of_footage(
 
 
 def _with_skipped(report: "TrafficReport", skipped: list[str]) -> "TrafficReport":
-    """The report with a note on each part of the footage that could not be read."""
+    """Return the report with a note on each part of the footage that could not be read."""
     return replace(report, notes=(*report.notes, *(f"not read in the footage: {line}" for line in skipped)))
 
 
 def _claimed(
     out: Path, inputs: list[Path], options: dict[str, Any], site: "SiteFile", formats: tuple[str, ...]
 ) -> dict[str, Path]:
-    """A folder below `out` for each format: work of its own, as what lies there may depend on the site's camera.
+    """Claim a folder below `out` for each format. It is claimed separately because it may depend on the site's camera.
 
-    Raises UserError where one holds other work.
+    Raises:
+        UserError: A folder has the output of another run.
     """
     camera = None if site.camera is None else site.camera.camera.to_dict()
     for name in formats:
@@ -240,9 +241,10 @@ def _written(
     tracks: Path | None = None,
     view: "EmptyRoadPicture | None" = None,
 ) -> Iterator[str]:
-    """Write a report, and in further formats to their folders; yields what was written and found.
+    """Write a report, and its additional formats to their folders; yield the lines to print.
 
-    The map is drawn on the picture of the road that lies in `tracks`, and the gates on `view`, or on that in `tracks`.
+    The background of the map is the image of the road in the folder `tracks`. The background of the gates is the camera
+    image in `tracks`, or `view` without `tracks`.
     """
     from skope.traffic.exports.formats import write_format
     from skope.traffic.page.page import write_page
@@ -250,7 +252,7 @@ def _written(
     from skope.traffic.traffic_report import report_lines
     from skope.traffic.write_report import write_traffic_report
 
-    # The camera that made the tracks, at the size of the footage; several recordings may have several.
+    # Camera of the tracks, at the size of the footage. Several recordings may have different cameras.
     camera = report.observation.camera or (site.camera.camera if site.camera else None)
     for name, folder in further.items():
         for path in write_format(name, folder, report, camera):
@@ -276,17 +278,18 @@ def _report_in_image(
     out: Path,
     export: str,
 ) -> Iterator[str]:
-    """Count by gates in the image what `skope eval predict` has followed.
+    """Count tracks of `skope eval predict` at gates in the image.
 
-    Raises UserError where there are no such gates, or they were drawn in an image of another aspect ratio.
+    Raises:
+        UserError: The site has no such gates, or they were drawn in an image of another aspect ratio.
     """
     from skope.dataset import coco
     from skope.eval.cli.tracked_footage import gates_at_size
 
     if not any(gate.pixels for gate in site.gates):
         raise UserError(
-            f"{folder}: holds what `skope eval predict` found, in pixels: `skope eval track {folder}` makes tracks in "
-            f"metres of it where the camera is known; without, {site.path} needs gates with `pixels`"
+            f"{folder}: contains detections in pixels: with a known camera, run `skope eval track {folder}` for tracks "
+            f"in metres; without, {site.path} needs gates with `pixels`"
         )
     images = coco.read(folder / FRAMES_FILE).images
     if images:
@@ -307,9 +310,9 @@ def _counted_in_image(
     *,
     claim: bool = False,
 ) -> Iterator[str]:
-    """Count in a folder of detections by the site's gates, whose pixels are those of its images.
+    """Count the detections in a folder at the site's gates, in pixels of its images.
 
-    `claim` says whether the output folder is still to be claimed, for the folder of detections.
+    `claim`: whether the output folder must still be claimed.
     """
     from skope.dataset import coco
     from skope.eval.cli.tracked_footage import skipped_lines
@@ -337,14 +340,18 @@ def _counted_in_image(
         view = None if road is None else empty_road_picture(road, observation.times_s)
     except UserError as error:
         view = None
-        yield f"note: the page has no picture of the road: {error}"
+        yield f"note: the page has no image of the road: {error}"
     yield from _written(report, source, site, out, further, view=view)
 
 
 def _manual_counts_of(
     path: Path | None, site: "SiteFile", gates: "Sequence[Gate]", start: datetime | None, observation: "Observation"
 ) -> "tuple[ManualCount, ...]":
-    """The counts that `--manual-count` names, if any. Raises UserError naming file, line and column."""
+    """Return the counts of `--manual-count`, if given.
+
+    Raises:
+        UserError: The file is invalid. The message names file, line and column.
+    """
     from skope.traffic.counting_intervals import local_start
     from skope.traffic.manual_count_file import read_manual_counts
 

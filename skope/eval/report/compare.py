@@ -1,7 +1,7 @@
-"""Evaluations side by side, with intervals of their differences.
+"""Comparison of evaluations, with intervals of their differences.
 
-Two detectors on the same images share what makes an image hard, and their difference varies far less than either
-figure: the same recordings are left out of both.
+Two detectors on the same images face the same difficulties, so their difference varies far less than either figure. The
+jackknife therefore leaves the same block out of both.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,15 +25,15 @@ T = TypeVar("T")
 
 TALLIES_FILE: Final = "tallies.json"
 METRICS_FILE: Final = "metrics.json"
-# Evaluations that differ in one of these measure different things; those that differ in the scores from which a
-# detection or a keypoint counts may well be compared: each detector has its own scale.
+# Evaluations that differ in one of these options are not comparable. Score thresholds may differ, because each detector
+# has its own scale of scores.
 SAME_OPTIONS: Final = ("alpha", "labelled", "boxes", "points")
 _CATEGORY_FIGURES: Final = {"precision": "precision", "recall": "recall", "ap": "box AP", "ap50": "box AP50"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """Results of an evaluation, as its folder has them."""
+    """Results of an evaluation, read from its folder."""
 
     name: str
     metrics: Mapping[str, Any]
@@ -42,7 +42,7 @@ class Run:
 
 
 def read_run(folder: Path) -> Run:
-    """Read what `skope eval` wrote to a folder; a UserError names what is missing or of another version."""
+    """Read the output folder of `skope eval`; raise a UserError if a file is missing or has another version."""
     documents = {}
     for name in (METRICS_FILE, TALLIES_FILE):
         path = folder / name
@@ -60,9 +60,10 @@ def read_run(folder: Path) -> Run:
 
 
 def compare(folders: Sequence[Path]) -> dict[str, Any]:
-    """Figures of each run and their differences from the first, per split and threshold that all of them have.
+    """Return figures of each run and their differences from the first, per common split and threshold.
 
-    Raises UserError where runs were not measured in the same way on the same images with the same ground truth.
+    Raises:
+        UserError: The runs differ in options, images or ground truth.
     """
     if len(folders) < 2:
         raise UserError("compare: expected the folders of two or more evaluations")
@@ -100,7 +101,7 @@ def _split(runs: Sequence[Run], split: str) -> dict[str, Any]:
 
 
 def _aligned(first: Run, run: Run, split: str) -> tuple[Blocks, dict[str, ImageCounts]]:
-    """Blocks and counts of a run, its images in the order of the first run's."""
+    """Return blocks and counts of a run, with its images in the order of the first run."""
     path = Path(run.name) / TALLIES_FILE
     reference = _valid(Path(first.name) / TALLIES_FILE, lambda: list(first.tallies[split]["image_ids"]))
     image_ids = _valid(path, lambda: list(run.tallies[split]["image_ids"]))
@@ -129,7 +130,7 @@ def _valid(path: Path, make: Callable[[], T]) -> T:
 
 
 def _differences(blocks: Blocks, runs: Sequence[ImageCounts]) -> list[dict[str, Any]]:
-    """For each figure its value in each run, and the differences from the first run with their intervals."""
+    """Return for each figure the values of the runs, and the differences from the first run with intervals."""
     columns = [quotients(counts) for counts in runs]
     return [
         {
@@ -161,12 +162,12 @@ def _minus(b: float | None, a: float | None) -> float | None:
 
 
 def render_comparison(document: Mapping[str, Any], protocol: str) -> str:
-    """A table per split: a row per threshold and figure, a column per run, and the differences from the first."""
+    """Return a table per split: rows by threshold and figure, a column per run, and differences from the first."""
     one_of("--protocol", protocol, PROTOCOL_NAMES)
     letters = [chr(ord("A") + i) if i < 26 else str(i) for i in range(len(document["runs"]))]
     scores = document["score_thresholds"]
     lines = [f"{a}  {name}  (score > {s:g})" for a, name, s in zip(letters, document["runs"], scores, strict=True)]
-    lines += [f"Protocol: {protocol}. Differences with paired 95% intervals; * where they exclude 0."]
+    lines += [f"Protocol: {protocol}. Differences with paired 95% intervals; * if they exclude 0."]
     gaps = [f"{letter} - {letters[0]}" for letter in letters[1:]]
     for name, split in document["splits"].items():
         lines += ["", f"{name}: {split['images']} images, {evidence(split)}"]
@@ -189,7 +190,7 @@ def render_comparison(document: Mapping[str, Any], protocol: str) -> str:
 
 
 def _category_rows(categories: Sequence[Mapping[str, Any]]) -> list[list[str]]:
-    """A row for each figure of other road users than vehicles, of all sizes; "-" for a run that does not have it."""
+    """Return rows for road users other than vehicles, over all sizes; "-" for a run without the category."""
     names = dict.fromkeys(name for of in categories for name in of)
     return [
         ["", f"{name} {words}", *(ratio_text(of[name]["all"][key] if name in of else None) for of in categories)]

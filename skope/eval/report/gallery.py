@@ -1,4 +1,4 @@
-"""The best, median and worst images of a split, with ground truth, predictions and failures as layers to switch."""
+"""Gallery of the best, median and worst images of a split, with switchable layers."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,15 +18,15 @@ from skope.page.svg import path_svg, tag
 from skope.types import Array, Integers, Mask
 
 IMAGES_OF_A_KIND: Final = 2
-"""So many images of each kind (best, median, worst) are shown."""
+"""Number of images of each kind (best, median, worst)."""
 FAILURE_WORDS: Final = {"left_right": "left/right swapped", "front_rear": "front/rear swapped", "jitter": "jitter"}
 FAILURE_LABELS: Final = {"left_right": "L/R", "front_rear": "F/R", "jitter": "jitter"}
-"""Kinds of failures as labels in the picture, where there is little room."""
+"""Kinds of failures as short labels in the image."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """An image of a split that is shown."""
+    """Image of a split that is shown in the gallery."""
 
     index: int
     kind: str
@@ -34,9 +34,9 @@ class Choice:
 
 
 def chosen_images(values: Array, blocks: Integers) -> list[Choice]:
-    """The best, those around the median, and the worst; few images are shown once each, as the first that they are.
+    """Return the best images, those around the median, and the worst. Each image appears only once.
 
-    The images of a kind come from different `blocks`, where there are enough: neighbouring frames look alike.
+    The images of a kind are from different `blocks` if possible, because neighbouring frames are similar.
     """
     order = [int(i) for i in np.argsort(values, kind="stable") if not np.isnan(values[i])]
     rank = {i: place for place, i in enumerate(order)}
@@ -50,23 +50,23 @@ def chosen_images(values: Array, blocks: Integers) -> list[Choice]:
 
 
 def _spread(candidates: list[int], blocks: Integers) -> list[int]:
-    """The candidates reordered: the first one of each block comes before all others."""
+    """Return the candidates with the first one of each block before all others."""
     first = {int(blocks[i]): i for i in reversed(candidates)}
     return sorted(candidates, key=lambda i: first[int(blocks[i])] != i)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Photo:
-    """An image of the gallery."""
+    """Image of the gallery with its drawing."""
 
     words: str
     quality: float
     picture: str
-    """Data address of the photograph."""
+    """Data URL of the photograph."""
     drawing: Markup
-    """What is drawn over it."""
+    """Drawing over the photograph."""
     failures: str
-    """Failures in words."""
+    """Failures as text."""
 
 
 def gallery(measured: SplitScores, root: Path, options: MetricOptions) -> list[Photo]:
@@ -74,11 +74,11 @@ def gallery(measured: SplitScores, root: Path, options: MetricOptions) -> list[P
 
     Args:
         measured: Scores of the split.
-        root: Folder that the paths of the images begin at.
-        options: How was measured; the loosest IoU threshold chooses the images.
+        root: Folder that paths of images are relative to.
+        options: The counting rules. The lowest IoU threshold selects the images.
 
     Returns:
-        The images; those whose files cannot be read are left out.
+        The images, without unreadable files.
     """
     threshold = options.loosest
     outcomes = measured.outcomes[threshold]
@@ -109,7 +109,7 @@ def gallery(measured: SplitScores, root: Path, options: MetricOptions) -> list[P
 def _layers(
     measured: SplitScores, index: int, outcomes: Outcomes, kinds: Integers, options: MetricOptions
 ) -> tuple[list[str], list[str]]:
-    """Layers of one image as SVG groups, and its failures in words."""
+    """Return the layers of one image as SVG groups, and its failures as text."""
     matches, image = measured.matches, measured.file.images[index]
     unit = image_viewer.unit(image.width)
 
@@ -162,7 +162,7 @@ def _layers(
 
 
 def _strays(truth: Array, found: Array, wrong: Mask) -> Markup:
-    """Lines that lead from where each wrong point was put to where it belongs."""
+    """Return lines from the predicted to the true position of each wrong keypoint."""
     return path_svg(
         "".join(f"M{image_viewer.place(found[k])}L{image_viewer.place(truth[k])}" for k in np.flatnonzero(wrong)),
         "stray",

@@ -1,4 +1,4 @@
-"""The report of an evaluation: what `report.html` is filled with, and the curves of its charts."""
+"""Report of an evaluation: the content of `report.html`, and the curves of its charts."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -24,9 +24,9 @@ CURVE_ALPHAS = np.linspace(0, 0.2, 41)
 
 
 def precision_recall(measured: SplitScores, options: MetricOptions) -> list[Line]:
-    """Box precision over recall by falling score, a line per IoU threshold, of all results whatever they score.
+    """Return box precision over recall by decreasing score, a line per IoU threshold, for results of any score.
 
-    Detections on ignored vehicles are left out, as in the pooled protocol.
+    Detections on ignored vehicles are excluded, as in the pooled protocol.
     """
     matches = match(measured.file, measured.results, score=-1.0, boxes=options.boxes, thresholds=options.iou)
     lines = []
@@ -34,7 +34,7 @@ def precision_recall(measured: SplitScores, options: MetricOptions) -> list[Line
         taken = matches.taken[t] >= 0
         counted = taken | ~matches.det_on_ignored
         recall, precision = curve(matches.det_score[counted], taken[counted], len(matches.gt_image))
-        # Beyond what is ever recalled precision is 0 by definition, which is no news in a picture.
+        # Beyond the highest recall the precision is 0 by definition, so the curve ends there.
         reached = np.flatnonzero(precision > 0)
         end = int(reached[-1]) + 1 if reached.size else 0
         lines.append(Line(name=f"IoU {t:g}", x=recall[:end].tolist(), y=precision[:end].tolist()))
@@ -42,7 +42,7 @@ def precision_recall(measured: SplitScores, options: MetricOptions) -> list[Line
 
 
 def pck_over_alpha(measured: SplitScores, options: MetricOptions) -> list[Line]:
-    """PCK of matched vehicles over alpha, a line per IoU threshold."""
+    """Return PCK of matched vehicles over alpha, a line per IoU threshold."""
     lines = []
     for t in options.iou:
         outcomes = measured.outcomes[t]
@@ -53,14 +53,14 @@ def pck_over_alpha(measured: SplitScores, options: MetricOptions) -> list[Line]:
 
 
 def reliability_curve(measured: SplitScores) -> list[Line]:
-    """The share of keypoints that are right over the score that they claim, per tenth of scores."""
+    """Return the share of right keypoints over their mean score, by bin of scores."""
     rows = measured.entry["confidence"]["reliability"]
     notes = [f"{row['count']} keypoints" for row in rows]
     return [Line(name="keypoints", x=[row["score"] for row in rows], y=[row["right"] for row in rows], notes=notes)]
 
 
 def keypoint_precision_recall(measured: SplitScores) -> list[Line]:
-    """Keypoint precision over recall by falling keypoint score."""
+    """Return keypoint precision over recall by decreasing keypoint score."""
     precision = measured.entry["confidence"]["precision_at_recall"]
     end = max((i + 1 for i, p in enumerate(precision) if p > 0), default=0)
     return [Line(name="keypoints", x=[i / 100 for i in range(end)], y=precision[:end])]
@@ -108,16 +108,16 @@ def render_page(
     beside: Mapping[str, Any] | None,
     subject: str,
 ) -> str:
-    """Write the report as one HTML page.
+    """Return the report as one HTML page.
 
     Args:
         document: The content of `metrics.json`.
         measured: Scores of the splits.
-        root: Folder that the paths of the images begin at; those whose files are not there are not shown.
-        options: How was measured.
-        protocol: Which table is shown, one of `PROTOCOL_NAMES`.
+        root: Folder that paths of images are relative to. Images without a file are not shown.
+        options: The counting rules.
+        protocol: Protocol of the table that is shown first, one of `PROTOCOL_NAMES`.
         beside: A published table (see `table.published`); None: none.
-        subject: What was measured, for the title.
+        subject: Detector and data, for the title.
 
     Returns:
         The page as HTML.
@@ -141,13 +141,13 @@ def render_page(
 
 def _about(document: Mapping[str, Any]) -> str:
     scores = {
-        None: "as the detector's own program gives them",
-        True: "calibrated probabilities of being visible and near enough",
+        None: "as given by the detector's own program",
+        True: "calibrated probabilities of being visible and within that distance",
         False: "not calibrated (skope eval calibrate-scores)",
     }[document["calibrated"]]
     least = document["keypoint_score_threshold"]
     return (
-        f"A detection counts when it scores above {document['score_threshold']:g}; a keypoint is correct within "
+        f"A detection counts if its score is above {document['score_threshold']:g}; a keypoint is correct within "
         f"{document['alpha']:g} of the longer edge L of the ground-truth box ({document['boxes']} boxes); keypoints "
         f"that count: {document['labelled']}; keypoint scores: {scores}; "
         f"{'all keypoints count as predicted' if not least else f'keypoints above {least:g} count as predicted'}. "
@@ -156,11 +156,11 @@ def _about(document: Mapping[str, Any]) -> str:
 
 
 def _source(of: Mapping[str, Any] | None) -> str:
-    """Sentence on the files that the figures are of, and on what worked them out when."""
+    """Return a sentence on the evaluated files, the version of skope and the date."""
     if of is None:
         return f"skope {__version__}."
     files = "; ".join(f"{path} (SHA-256 {digest[:12]})" for path, digest in of["inputs"].items())
-    return f"Of {files}. skope {of['skope']}, {of['date']}."
+    return f"Evaluated files: {files}. skope {of['skope']}, {of['date']}."
 
 
 def _counts(splits: Mapping[str, Any]) -> Table:
@@ -175,7 +175,7 @@ def _counts(splits: Mapping[str, Any]) -> Table:
 
 
 def _categories(splits: Mapping[str, Any]) -> Table:
-    """Figures of other road users than vehicles; no rows where none are labelled."""
+    """Return the table of road users other than vehicles; without rows if none are labelled."""
     counts, shares = ("ground_truth", "ignored", "detections"), ("precision", "recall", "ap", "ap50")
     rows = [
         [
@@ -189,7 +189,7 @@ def _categories(splits: Mapping[str, Any]) -> Table:
         for name, size, figures in road_user_rows(entry)
     ]
     head = ("split", "category", "size", "labelled", "ignored", "detections", *shares[:2], "box AP", "box AP50")
-    caption = f"People on foot and on two wheels: boxes, precision and recall at IoU {AP50_IOU:g}"
+    caption = f"Pedestrians and two-wheelers: boxes, precision and recall at IoU {AP50_IOU:g}"
     return Table(caption=caption, head=head, rows=rows, sortable=True)
 
 
@@ -223,7 +223,7 @@ def _cell(value: float | None, interval: Sequence[float] | None, percent: bool) 
 
 
 def _split(measured: SplitScores, root: Path, options: MetricOptions) -> dict[str, Any]:
-    """What the page has of a split."""
+    """Return the content of the page for a split."""
     entry = measured.entry
     loosest = f"{options.loosest:g}"
     boxes = Axes(x_label="recall", y_label="precision")
@@ -232,7 +232,7 @@ def _split(measured: SplitScores, root: Path, options: MetricOptions) -> dict[st
     charts = [
         chart("Boxes: precision over recall", boxes, precision_recall(measured, options), every=5),
         chart("PCK over alpha", within, pck_over_alpha(measured, options), every=4),
-        chart("Are keypoint scores what they claim?", claimed, reliability_curve(measured), diagonal=True),
+        chart("Calibration of keypoint scores", claimed, reliability_curve(measured), diagonal=True),
         chart("Keypoints: precision over recall", boxes, keypoint_precision_recall(measured), every=5),
     ]
     charts.append(_keypoints(entry["by"]["keypoint"], loosest))
@@ -242,7 +242,7 @@ def _split(measured: SplitScores, root: Path, options: MetricOptions) -> dict[st
         "photos": gallery(measured, root, options),
         "charts": charts,
         "confidence": _confidence(entry["confidence"], loosest),
-        # A table of one row would say what the split's own figures say.
+        # A table of one row would repeat the figures of the split.
         "parts": [
             _part(title, entry["by"][key], loosest)
             for key, title in _BREAKDOWN_TITLES.items()
@@ -253,7 +253,7 @@ def _split(measured: SplitScores, root: Path, options: MetricOptions) -> dict[st
 
 
 def _keypoints(entry: Mapping[str, Any], threshold: str) -> Markup:
-    """PCK of each keypoint in its place on the vehicle."""
+    """Return a drawing of the PCK of each keypoint at its position on the vehicle."""
     points = {}
     for name, by_threshold in entry.items():
         figures = by_threshold[threshold]
@@ -290,4 +290,4 @@ def _part(title: str, of: Mapping[str, Any], threshold: str) -> Table:
 def _failures(entry: Mapping[str, Mapping[str, int]]) -> Table:
     head = ("IoU", "vehicles missed", "false vehicles", "left/right swapped", "front/rear swapped", "jitter")
     rows = [[t, *counts.values()] for t, counts in entry.items()]
-    return Table(caption="Vehicles missed and false; wrong keypoints by kind", head=head, rows=rows)
+    return Table(caption="Missed vehicles, false positives, and wrong keypoints by kind", head=head, rows=rows)

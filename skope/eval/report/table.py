@@ -1,4 +1,4 @@
-"""The paper's table on a terminal: splits side by side, a row per IoU threshold, and what belongs beside it."""
+"""Tables of figures for the terminal: as in the paper, splits side by side, a row per IoU threshold; and others."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,8 +14,8 @@ from skope.metrics.road_users import AP50_IOU
 from skope.terminal.console import text_table
 
 PROTOCOL_MEANINGS: Final = {
-    "pooled": "pooled (over the whole split; the one to decide by)",
-    "paper": "paper (mean of each image's own figures, as published; `pooled` is the one to decide by)",
+    "pooled": "pooled (over the whole split; recommended for decisions)",
+    "paper": "paper (mean of per-image figures, as published; `pooled` is recommended for decisions)",
 }
 FIGURE_COLUMNS: Final = ("box_precision", "box_recall", "keypoint_precision", "keypoint_recall")
 SHORT_TITLES: Final = ("box Pr", "box Re", "keypoint Pr", "keypoint Re")
@@ -23,7 +23,7 @@ _MARGIN_CHARS: Final = 5
 _BLOCK_CHARS: Final = len(" 100.00  0.000 0.000  0.000 0.000")
 _BLOCK_GAP: Final = " | "
 
-# Parts that the paper does not tell apart and a reader should.
+# Groups that the paper does not separate.
 _ROW_NAMES: Final = {
     ("unoccluded_within_40_m", "yes"): "unoccluded within 40 m",
     ("parked", "parked"): "parked vehicles",
@@ -37,7 +37,7 @@ _ROW_NAMES: Final = {
 
 @cache
 def published() -> dict[str, Any]:
-    """The table of the paper: splits -> name -> IoU threshold -> figures in the order of `columns`."""
+    """Return the table of the paper: splits -> name -> IoU threshold -> figures in the order of `columns`."""
     text = resources.files("skope.eval.report").joinpath("published_results.json").read_text(encoding="utf-8")
     table: dict[str, Any] = json.loads(text)
     return table
@@ -46,19 +46,19 @@ def published() -> dict[str, Any]:
 def render_table(
     metrics: Mapping[str, Any], protocol: str, width: int, *, beside: Mapping[str, Any] | None = None
 ) -> str:
-    """Write the splits of a `metrics.json` as text.
+    """Return the splits of a `metrics.json` as text.
 
     Args:
         metrics: The content of `metrics.json`.
-        protocol: Which figures are shown, one of `PROTOCOL_NAMES`.
-        width: Longest line of the table in characters; a single split may need more.
-        beside: A published table (see `published`), whose rows stand below ours; None: none.
+        protocol: Protocol of the figures, one of `PROTOCOL_NAMES`.
+        width: Maximum line length of the table, characters. A single split may need more.
+        beside: A published table (see `published`), to print below ours; None: none.
 
     Returns:
-        The lines of the table, and what belongs below it.
+        The lines of the table, and the tables below it.
 
     Raises:
-        UserError: There is no such protocol.
+        UserError: The protocol is unknown.
     """
     one_of("--protocol", protocol, PROTOCOL_NAMES)
     splits = list(metrics["splits"].items())
@@ -94,20 +94,20 @@ def _group(
 
 
 def row_of(figures: Mapping[str, Any], protocol: str) -> list[Any]:
-    """PCK and the four figures of `FIGURE_COLUMNS` at one threshold, or their intervals."""
+    """Return PCK and the four figures of `FIGURE_COLUMNS` at one threshold, or their intervals."""
     return [figures["pck"], *(figures[name][protocol] for name in FIGURE_COLUMNS)]
 
 
 def published_row(table: Mapping[str, Any], split: str, threshold: str) -> list[float | None]:
-    """Look up a published table's figures.
+    """Return the figures of a published table.
 
     Args:
         table: A published table (see `published`).
         split: Name of the split.
-        threshold: IoU threshold, as the table writes it.
+        threshold: IoU threshold, as written in the table.
 
     Returns:
-        Figures in the order of `row_of`; all None where the table has no such split or threshold.
+        Figures in the order of `row_of`; all None if the table has no such split or threshold.
     """
     row = table["splits"].get(split, {}).get(threshold)
     return list(row) if row else [None] * (1 + len(FIGURE_COLUMNS))
@@ -135,7 +135,7 @@ AREA_WORDS: Final = {"all": "all", "small": "under 32x32 px", "medium": "to 96x9
 
 
 def road_user_rows(entry: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
-    """Category, size and figures of a split's other road users; sizes of which there is nobody are left out."""
+    """Yield category, size and figures of a split's other road users, without empty sizes."""
     for name, by_size in entry.get("categories", {}).items():
         for size, figures in by_size.items():
             if size == "all" or figures["ground_truth"] or figures["detections"]:
@@ -143,7 +143,7 @@ def road_user_rows(entry: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping
 
 
 def _categories(splits: Mapping[str, Any], score: float) -> list[str]:
-    """The other road users by category and size; nothing where the ground truth labels none."""
+    """Return lines on other road users by category and size; empty if the ground truth labels none."""
     rows = [
         [split, name, AREA_WORDS[size], figures["ground_truth"], figures["ignored"], figures["detections"]]
         + [ratio_text(figures[key]) for key in ("precision", "recall", "ap", "ap50")]
@@ -157,8 +157,7 @@ def _categories(splits: Mapping[str, Any], score: float) -> list[str]:
 
 
 def _localisation(splits: Mapping[str, Any]) -> list[str]:
-    """Lines on how exact the keypoints of the vehicles found are, at the lowest threshold; none where nothing is
-    labelled."""
+    """Return lines on the accuracy of keypoints of matched vehicles at the lowest threshold; empty without labels."""
     found = {name: split["localisation"] for name, split in splits.items() if split.get("localisation")}
     rows = [
         [
@@ -174,7 +173,7 @@ def _localisation(splits: Mapping[str, Any]) -> list[str]:
 
 
 def _apart(splits: Mapping[str, Any]) -> list[str]:
-    """The parts that are told apart, where both they and their counterpart occur."""
+    """Return lines on the groups of `_ROW_NAMES`, if both a group and its counterpart occur."""
     rows = []
     for name, split in splits.items():
         for (quantity, part), words in _ROW_NAMES.items():
@@ -190,7 +189,7 @@ def _apart(splits: Mapping[str, Any]) -> list[str]:
 
 
 def _intervals(splits: Mapping[str, Any], protocol: str) -> list[str]:
-    """95% intervals at the lowest threshold, and what they speak for."""
+    """Return lines with 95% intervals at the lowest threshold, and with their basis."""
     lines = []
     for name, split in splits.items():
         intervals = split.get("intervals")
@@ -207,23 +206,23 @@ def _intervals(splits: Mapping[str, Any], protocol: str) -> list[str]:
 
 
 def evidence(intervals: Mapping[str, Any]) -> str:
-    """Basis of a split's intervals, and what they say nothing about, in words."""
+    """Return the basis of a split's intervals and their limits, as text."""
     blocks, sites, unit = intervals["blocks"], intervals["sites"], intervals["unit"]
     words = f"blocks of {unit}" if unit.endswith(" s") else f"{unit}s"
     words = f"{blocks} {words}" if blocks > 1 else f"none, as there are fewer than two {words}"
     if unit == "image":
-        return words + "; neighbouring frames, if there are any, make these too narrow"
+        return words + "; the intervals are too narrow if the images include neighbouring frames"
     if unit.endswith(" s"):
-        return words + " of one recording: this infers to no other weather, light or site"
+        return words + " of one recording: not valid for other weather, light or sites"
     if sites == 1:
-        return words + " of one site: this infers to no other site"
+        return words + " of one site: not valid for other sites"
     if sites is not None and sites < INTERVAL_RULES.enough_sites:
-        return words + f" of {sites} sites: too few to infer to others"
+        return words + f" of {sites} sites: too few to be valid for other sites"
     return words
 
 
 def span(interval: Sequence[float] | None, *, percent: bool = False) -> str:
-    """An interval as low-high, "-" where there is none."""
+    """Return an interval as low-high, or "-" if there is none."""
     if interval is None:
         return "-"
     low, high = (ratio_text(value, percent=percent) for value in interval)
@@ -231,7 +230,7 @@ def span(interval: Sequence[float] | None, *, percent: bool = False) -> str:
 
 
 def ratio_text(value: float | None, *, percent: bool = False) -> str:
-    """A ratio in digits, "-" where there was nothing to divide by."""
+    """Return a ratio as digits, or "-" if it is None."""
     if value is None:
         return "-"
     return f"{100 * value:.2f}" if percent else f"{value:.3f}"

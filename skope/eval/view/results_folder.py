@@ -1,4 +1,4 @@
-"""Results folders for the viewer: ground truth, predictions and pictures of `skope eval` and `skope eval predict`."""
+"""Results folders for the viewer: ground truth, predictions and images of `skope eval` and `skope eval predict`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -26,7 +26,7 @@ from skope.viewer.collection import Collection, Picture, ShownSplit, encoded, re
 
 
 def footage_collection(folder: Path) -> Collection:
-    """The frames of a folder that `skope eval predict` wrote, and what was found in them."""
+    """Read the frames and detections in an output folder of `skope eval predict`."""
     file = replace(coco.read(folder / FRAMES_FILE), name="")  # footage is no split
     results, others = apart(read_inputs.read_all_results(folder / PREDICTIONS_FILE, file))
     users = tuple(_as_label(number, other) for number, other in enumerate(others, start=1))
@@ -43,7 +43,7 @@ def footage_collection(folder: Path) -> Collection:
 
 
 def _as_label(number: int, found: RoadUserResult) -> RoadUser:
-    """Somebody who was found on foot or on two wheels as a label, since the page draws no detections of theirs."""
+    """Return a detected pedestrian or two-wheeler as a label, because the page draws only detections of vehicles."""
     return RoadUser(
         id=number,
         image_id=found.image_id,
@@ -55,14 +55,14 @@ def _as_label(number: int, found: RoadUserResult) -> RoadUser:
 
 
 def _checkpoint(folder: Path) -> str:
-    """The name of the checkpoint that was run, if the folder says it."""
+    """Return the name of the checkpoint of the run, or "a detector" if it is not known."""
     work = read_json(folder / WORK_FILE) if (folder / WORK_FILE).is_file() else None
     inputs = work.get("inputs") if isinstance(work, dict) else None
     return "/".join(Path(next(iter(inputs))).parts[-2:]) if isinstance(inputs, dict) and inputs else "a detector"
 
 
 def _pictures(folder: Path, found_at: Any) -> Callable[[Image], Picture]:
-    """Make a reader of the frames' pictures: those of the files or the video that the folder says it is of."""
+    """Return a reader for the images of the frames, from the files or the video of the folder."""
     source = folder / found_at if isinstance(found_at, str) else None
     if source and source.is_file():
         return FrameCache(source, encoded).frame
@@ -70,19 +70,20 @@ def _pictures(folder: Path, found_at: Any) -> Callable[[Image], Picture]:
     def picture(image: Image) -> Picture:
         if source is None:
             raise UserError(
-                f"{folder / FRAMES_FILE}: info.{FOUND_AT}: does not say where the images are; predict again"
+                f"{folder / FRAMES_FILE}: info.{FOUND_AT}: expected the path of the images, found none; predict again"
             )
         if not source.is_dir():
-            raise UserError(f"{source}: no such file or folder, but {folder / FRAMES_FILE} is of it")
+            raise UserError(f"{source}: no such file or folder, but {folder / FRAMES_FILE} refers to it")
         return read_picture(source / image.file_name)
 
     return picture
 
 
 def read_results_folder(folder: Path, console: Console) -> Collection:
-    """Read for the viewer a folder that `skope eval` or `skope eval predict` wrote.
+    """Read an output folder of `skope eval` or `skope eval predict` for the viewer.
 
-    Raises UserError where it is no such folder, or what it was made of is missing or another one by now.
+    Raises:
+        UserError: It is no such folder, or its inputs are missing or have changed.
     """
     if not folder.is_dir():
         raise UserError(f"{folder}: no such folder; `skope eval --out {folder}` makes it")
@@ -105,8 +106,8 @@ def _evaluation(folder: Path, console: Console) -> Collection:
     options = _options(path, run.metrics, truth)
     scored = [Path(name) for name in list(inputs)[len(truth.sources) :]]
     if not scored:
-        raise UserError(f"{path}: of.inputs: names no checkpoint and no predictions")
-    # Where another program has made the predictions, they lie where they lay; a checkpoint's are written here.
+        raise UserError(f"{path}: of.inputs: expected a checkpoint or predictions, found none; evaluate again")
+    # Predictions of another program stay in their own file. Those of a checkpoint are in this folder.
     given = scored[0] if run.metrics.get("calibrated") is None else None
     if given:
         _check_unchanged(path, given, inputs)
@@ -126,7 +127,7 @@ def _evaluation(folder: Path, console: Console) -> Collection:
 
 
 def _inputs(path: Path, metrics: Mapping[str, Any]) -> dict[str, str]:
-    """The files that an evaluation is of, with their checksums: first those of the ground truth."""
+    """Return the input files of an evaluation with their checksums, ground truth first."""
     of = metrics.get("of")
     inputs = of.get("inputs") if isinstance(of, dict) else None
     if not isinstance(inputs, dict) or not inputs:
@@ -135,7 +136,7 @@ def _inputs(path: Path, metrics: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _ground_truth(path: Path, inputs: Mapping[str, str], names: Sequence[str]) -> GroundTruth:
-    """The ground truth of the splits `names`, which must still be what was evaluated."""
+    """Read the ground truth of the splits `names`, which must be unchanged since the evaluation."""
     source = Path(next(iter(inputs)))
     roots = [source.parent] if source.name == MANIFEST_FILE else []
     roots += [source.parent.parent] if source.parent.name == "annotations" else []
@@ -150,16 +151,16 @@ def _ground_truth(path: Path, inputs: Mapping[str, str], names: Sequence[str]) -
 
 
 def _check_unchanged(path: Path, source: Path, inputs: Mapping[str, str]) -> None:
-    """Raise a UserError where a file that was evaluated is not there, or holds something else by now."""
+    """Raise a UserError if an evaluated file is missing or has changed."""
     if not source.is_file():
-        where = "" if source.is_absolute() else "; it is looked for from where `skope eval` was called"
-        raise UserError(f"{source}: no such file, but {path} is of it{where}")
+        where = "" if source.is_absolute() else "; the path is relative to the folder in which `skope eval` was run"
+        raise UserError(f"{source}: no such file, but {path} refers to it{where}")
     if sha256_of(source) != inputs.get(str(source)):
         raise UserError(f"{source}: has changed since {path} was written; evaluate again")
 
 
 def _options(path: Path, metrics: Mapping[str, Any], truth: GroundTruth) -> MetricOptions:
-    """Options that an evaluation was made with."""
+    """Return the options of an evaluation."""
     try:
         thresholds = [float(t) for split in metrics["splits"].values() for t in split["iou"]]
         points = tuple(metrics["points"])
@@ -184,7 +185,7 @@ def _options(path: Path, metrics: Mapping[str, Any], truth: GroundTruth) -> Metr
 
 
 def _evaluated(path: Path, tallies: Mapping[str, Mapping[str, Any]], file: AnnotationFile) -> AnnotationFile:
-    """The images of a split that were evaluated: all, or those that `--max-images` left."""
+    """Return the evaluated images of a split: all, or those selected by `--max-images`."""
     entry = tallies.get(file.name)
     ids = entry.get("image_ids") if isinstance(entry, dict) else None
     if not isinstance(ids, list):

@@ -1,7 +1,7 @@
-"""A traffic report as a workbook: a sheet with what it says in short, and one for each table but trajectories.
+"""Traffic report as an Excel workbook: a summary sheet, and one sheet per table except trajectories.
 
-Cells are numbers and times, not text, so that a person can sort, filter and sum them. Times are those of the site's
-clock: Excel knows no zones; `begin_s` and `end_s` tell the two hours of a day apart that have one name. Names that
+Cells are numbers and times, not text, so that they can be sorted, filtered and summed. Times are local times of the
+site, because Excel has no time zones. `begin_s` and `end_s` distinguish the repeated hour of a clock change. Names that
 begin like a formula stay text.
 """
 
@@ -40,7 +40,7 @@ class ExcelLayout:
 EXCEL_LAYOUT: Final = ExcelLayout()
 
 _LEFT_OUT: Final = frozenset({"trajectories"})
-"""Tables of points and moments, for which a sheet is too small."""
+"""Tables without a sheet, because they have too many rows."""
 
 
 def write_excel(folder: Path, report: TrafficReport) -> list[Path]:
@@ -83,7 +83,7 @@ def _write_table(sheet: "Worksheet", name: str, table: ReportTable, formats: _Fo
     for last, row in enumerate(table.rows, start=1):
         if last > EXCEL_LAYOUT.most_rows:
             raise UserError(
-                f"{name}: more than {EXCEL_LAYOUT.most_rows} rows, which no sheet holds; measure a shorter time"
+                f"{name}: expected at most {EXCEL_LAYOUT.most_rows} rows (the limit of a sheet); measure a shorter time"
             )
         for column, value in enumerate(row):
             _write_cell(sheet, last, column, value, formats)
@@ -91,7 +91,7 @@ def _write_table(sheet: "Worksheet", name: str, table: ReportTable, formats: _Fo
 
 
 def _write_cell(sheet: "Worksheet", row: int, column: int, value: Any, formats: _Formats) -> None:
-    """Write one cell; nothing where there is nothing to say."""
+    """Write one cell; write nothing for None or a number that is not finite."""
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return
     if isinstance(value, datetime):
@@ -103,7 +103,7 @@ def _write_cell(sheet: "Worksheet", row: int, column: int, value: Any, formats: 
 
 
 def _write_summary(sheet: "Worksheet", report: TrafficReport, formats: _Formats) -> None:
-    """Of what this is, the counts of the whole footage, and what could not be measured or should be distrusted."""
+    """Write the summary: the footage, its counts, and notes on figures that are not available or doubtful."""
     sheet.set_column(0, 0, 30)
     sheet.set_column(1, 5, EXCEL_LAYOUT.column_width)
     observation = report.observation

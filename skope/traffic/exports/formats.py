@@ -1,4 +1,4 @@
-"""The formats of other programs that a traffic report can be written in, by name."""
+"""Export formats of a traffic report for other programs, by name."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -22,9 +22,9 @@ EXPORT_FORMATS: Final[Mapping[str, str]] = {
     "ssam": "FHWA's surrogate safety model",
     "sumo": "counts for routeSampler and flowrouter",
 }
-"""Formats by their names, each in a few words."""
+"""Formats by name, with a short description each."""
 IN_PIXELS: Final = frozenset({"excel", "parquet", "otanalytics"})
-"""Those that need no metres."""
+"""Formats that do not need metres."""
 
 
 def checked_formats(text: str, site: "SiteParts", *, metres: bool) -> tuple[str, ...]:
@@ -39,8 +39,8 @@ def checked_formats(text: str, site: "SiteParts", *, metres: bool) -> tuple[str,
         The names, each once, in the order of `EXPORT_FORMATS`.
 
     Raises:
-        UserError: A name is none of a format; or the format needs metres, a library, or something of the site, that
-            there is not.
+        UserError: A name is not a format, or the format needs metres, a library, or an entry of the site file that is
+            missing.
     """
     from skope.site.world import on_earth
     from skope.traffic.exports.parquet import check_parquet
@@ -51,7 +51,7 @@ def checked_formats(text: str, site: "SiteParts", *, metres: bool) -> tuple[str,
         if name not in EXPORT_FORMATS:
             raise UserError(f"--export: expected some of {', '.join(EXPORT_FORMATS)}, got {name!r:.40}")
         if not metres and name not in IN_PIXELS:
-            raise UserError(f"--export: {name} needs metres, and nothing calibrates the camera")
+            raise UserError(f"--export: {name} needs metres, and the camera is not calibrated")
     if "geojson" in names:
         on_earth(site.world, np.zeros((1, 2)))
     if "sumo" in names:
@@ -62,16 +62,16 @@ def checked_formats(text: str, site: "SiteParts", *, metres: bool) -> tuple[str,
 
 
 def write_format(name: str, folder: Path, report: "TrafficReport", camera: Camera | None) -> list[Path]:
-    """Write a report in a format to a folder; returns the files.
+    """Write a report in a format to a folder; return the files.
 
     Args:
         name: One of `EXPORT_FORMATS`.
         folder: The folder.
         report: The report.
-        camera: What the footage was seen with; None: not known.
+        camera: The camera of the footage; None: not known.
 
     Raises:
-        UserError: The report, or the site, lacks what the format needs.
+        UserError: The report or the site lacks an entry that the format needs.
     """
     from skope.traffic.exports.excel import write_excel
     from skope.traffic.exports.geojson import write_geojson

@@ -1,6 +1,6 @@
-"""A traffic report on the map: gates with their counts, lanes, zones, tracks and conflicts as GeoJSON (RFC 7946).
+"""Traffic report as GeoJSON (RFC 7946): gates with their counts, lanes, zones, tracks and conflicts.
 
-Longitude and latitude are WGS84's, so the site has to say where on the Earth it is.
+Longitude and latitude are in WGS84, so the site must be georeferenced.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,7 +31,7 @@ class GeojsonFormat:
     """Digits and least length of a line."""
 
     degree_digits: int = 7
-    """Digits of degrees: a centimetre."""
+    """Digits of degrees. The last digit is about 1 cm."""
     least_points: int = 2
     """Smallest number of points of a line."""
 
@@ -40,10 +40,10 @@ GEOJSON_FORMAT: Final = GeojsonFormat()
 
 
 def write_geojson(folder: Path, report: TrafficReport) -> list[Path]:
-    """Write a report as `traffic.geojson`; returns the file.
+    """Write a report as `traffic.geojson`; return the file.
 
     Raises:
-        UserError: The site does not say where it is (`skope.site.world`).
+        UserError: The site is not georeferenced (`skope.site.world`).
     """
     path = folder / GEOJSON_FILE
     with replacing(path) as temporary, temporary.open("wb") as file:
@@ -95,7 +95,7 @@ def _features(report: TrafficReport) -> Iterator[dict[str, Any]]:
 
 
 def _totals(report: TrafficReport, gate: str) -> dict[str, Any]:
-    """The counts of the whole footage of a gate, by direction, of all and of vehicles, with their intervals."""
+    """Return the counts of a gate over the whole footage by direction, of all and of vehicles, with intervals."""
     (mark,) = (one for one in report.gates if one.name == gate)
     totals: dict[str, dict[str, Any]] = {}
     for one in report.counts_total:
@@ -122,7 +122,7 @@ def _of_track(report: TrafficReport, one: Track, rows: Sequence[int]) -> dict[st
 
 
 def _length(report: TrafficReport, one: Track) -> dict[str, Any]:
-    """Length, its standard deviation, bin and probability of a vehicle; nothing of others, who have none."""
+    """Return length, its standard deviation, bin and its probability of a vehicle; empty without a length."""
     if not has_length(one):
         return {}
     common = report.observation.common_scale_sigma
@@ -141,7 +141,7 @@ def _moment(report: TrafficReport, time_s: float) -> str | None:
 
 
 def _feature(report: TrafficReport, kind: str, places: Outline | Array, properties: dict[str, Any]) -> dict[str, Any]:
-    """A feature of places in metres; polygons are closed, counter-clockwise."""
+    """Return a feature from positions in metres. Polygons are closed and counter-clockwise."""
     points = np.asarray(places, dtype=np.float64)
     if kind == "Polygon":
         x, y = points.T

@@ -1,7 +1,7 @@
-"""Tracks as ASAM OpenLABEL 1.0.0: for each frame a cuboid on the road for everyone who is there, in the site's metres.
+"""Tracks in ASAM OpenLABEL 1.0.0: one cuboid on the road per frame and road user, in metres of the site.
 
-A cuboid is its middle, its turn as a quaternion, and its length, width and height. Sizes that were not measured are
-usual ones, and say so (`size_measured`).
+A cuboid has its centre, its rotation as a quaternion, and length, width and height. A size that was not measured is a
+default, which `size_measured` shows.
 """
 
 import math
@@ -30,7 +30,7 @@ class OpenlabelFormat:
     """Default height and digits."""
 
     height_m: float = 1.5
-    """Height of a road user, metres."""
+    """Default height of a road user, metres."""
     digits: int = 3
     """Digits after the decimal point."""
 
@@ -39,9 +39,9 @@ OPENLABEL_FORMAT: Final = OpenlabelFormat()
 
 
 def write_openlabel(folder: Path, report: TrafficReport) -> list[Path]:
-    """Write the tracks of a report that count as `traffic.json`; returns the file.
+    """Write the tracks of a report that may count to `traffic.json`; return the file.
 
-    Frames are those in which the road was observed, numbered from 0, with their times.
+    Frames are the observed frames, numbered from 0, with their times.
     """
     chosen = [one for one in report.trajectories if may_count(one, report.site.traffic)]
     times = report.observation.times_s
@@ -82,7 +82,7 @@ def _interval(begin: int, end: int) -> dict[str, int]:
 
 
 def _objects(chosen: Sequence[Track], spans: Mapping[int, Any]) -> dict[str, Any]:
-    """Everyone with a frame, by number."""
+    """Return the road users that have a frame, by number."""
     objects = {}
     for one in chosen:
         begin, end = map(int, spans[one.number])

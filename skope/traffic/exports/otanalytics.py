@@ -1,8 +1,8 @@
-"""Tracks and gates as OTAnalytics reads them: `.ottrk` (bzip2 of JSON) and `.otflow` (JSON).
+"""Tracks and gates for OTAnalytics: `.ottrk` (bzip2 of JSON) and `.otflow` (JSON).
 
-A box there has a point that counts, at a share of its width and height which each section chooses. Boxes of no extent
-are written, at the place that counts here: so their point is that place, whatever share a section has, and nothing is
-told of boxes that is not known. The formats are those of OTVision's tracks, version 1.1, and of OTAnalytics 0.7.
+OTAnalytics counts a point of a box, at a share of its width and height that each section sets. The boxes are written
+with zero size, at the position that skope counts. The counted point is then that position for any share, and no unknown
+box size is invented. The formats are OTVision tracks 1.1 and OTAnalytics 0.7.
 """
 
 import bz2
@@ -34,30 +34,30 @@ class OtanalyticsFormat:
     """Limits of OTAnalytics' files."""
 
     most_detections: int = 12_000
-    """OTAnalytics leaves out tracks with more detections. They are thinned."""
+    """Maximum number of detections per track. OTAnalytics omits longer tracks, so they are thinned."""
     default_fps: float = 10.0
-    """Frame rate of footage of one frame."""
+    """Frame rate of footage with a single frame, frames per second."""
     coordinate_digits: int = 4
 
 
 OTANALYTICS_FORMAT: Final = OtanalyticsFormat()
 
 HOST_NAME: Final = re.compile(r"[A-Za-z0-9]+_.*")
-"""Names of footage from which OTAnalytics takes a camera's name."""
+"""Pattern of footage names from which OTAnalytics takes the name of the camera."""
 
 
 def write_otanalytics(folder: Path, report: TrafficReport, camera: Camera | None = None) -> list[Path]:
-    """Write what a report counted, tracks and gates, for OTAnalytics.
+    """Write the tracks and gates of a report for OTAnalytics.
 
-    Of a report in metres these are `plan.ottrk` and `plan.otflow`, the road from above with its georeference, which
-    OTAnalytics counts in metres, and with a camera `image.ottrk` and `image.otflow`, in the camera's image. Of a report
-    without metres these two alone. The tracks are those that may count here: confirmed, of the site's classes, and not
-    of somebody who never moved.
+    A report in metres gives `plan.ottrk` and `plan.otflow`: the road from above with its georeference, in which
+    OTAnalytics counts in metres. With a camera it also gives `image.ottrk` and `image.otflow`, in the camera's image. A
+    report without metres gives only the `image` files. Only tracks that may count are written: confirmed, moving, and
+    of the site's classes.
 
     Args:
         folder: The folder.
-        report: What was measured.
-        camera: What the footage was seen with, over a road at z = 0; None: not known.
+        report: The report.
+        camera: The camera of the footage, over a road at z = 0; None: not known.
 
     Returns:
         The files.
@@ -77,7 +77,7 @@ def write_otanalytics(folder: Path, report: TrafficReport, camera: Camera | None
 
 
 def _write_tracks(path: Path, report: TrafficReport, tracks: Sequence[Track], view: OtView) -> None:
-    """One detection after the other: of some hours there are millions."""
+    """Write the detections one by one, because a few hours have millions."""
     head = json_bytes(_metadata(report, view))
     with replacing(path) as temporary, bz2.open(temporary, "wb") as file:
         file.write(b'{"metadata":' + head + b',"data":{"detections":[')
@@ -118,14 +118,14 @@ def _metadata(report: TrafficReport, view: OtView) -> dict[str, Any]:
             "otvision_version": f"skope {__version__}",
             "model": {"name": "skope", "classes": {str(k): name for k, name in enumerate(OTC_CLASSES.values())}},
         },
-        # Tracks of several files are told apart by this.
+        # This id distinguishes tracks of several files.
         "tracking": {"otvision_version": f"skope {__version__}", "tracking_run_id": run[:12], "frame_group": "0"},
         **({} if view.georeference is None else {"georeference": view.georeference}),
     }
 
 
 def _detections(track: Track, report: TrafficReport, view: OtView) -> Iterator[dict[str, Any]]:
-    """The moments of a track at which it is in the view's picture."""
+    """Yield the detections of a track inside the image of the view."""
     places = view.pixels(track.xy)
     rows = np.flatnonzero(view.inside(places))
     rows = rows[:: math.ceil(len(rows) / OTANALYTICS_FORMAT.most_detections) or 1].tolist()
@@ -152,9 +152,9 @@ def _detections(track: Track, report: TrafficReport, view: OtView) -> Iterator[d
 
 
 def flow_document(report: TrafficReport, view: OtView) -> dict[str, Any]:
-    """The gates of a view as lines, and their ordered pairs as flows, as an `.otflow` has them.
+    """Return the content of an `.otflow`: gates of a view as lines, and their ordered pairs as flows.
 
-    A gate is a flow to itself where somebody turned around there.
+    A gate has a flow to itself if a road user turned around there.
     """
     settings = report.site.traffic
     sections = []
@@ -189,12 +189,12 @@ def flow_document(report: TrafficReport, view: OtView) -> dict[str, Any]:
 
 
 def _epoch(report: TrafficReport) -> float:
-    """Second 0 of the footage in seconds since 1970, UTC; 0 where it is not known when that was."""
+    """Return the time of second 0 of the footage, seconds since 1970 (UTC); 0 if it is not known."""
     return 0.0 if report.start is None else report.start.timestamp()
 
 
 def _nearest(times_s: Any, wanted_s: Any) -> Any:
-    """(M,) index of the nearest of rising times (F,); 0 where there is none."""
+    """Return (M,) indices of the nearest of increasing times (F,); 0 without times."""
     if not len(times_s):
         return np.zeros(len(wanted_s), dtype=np.int64)
     after = np.searchsorted(times_s, wanted_s).clip(1, max(1, len(times_s) - 1))

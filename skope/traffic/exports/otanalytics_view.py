@@ -24,7 +24,7 @@ class GateImage:
     legs: int = 64
     """Number of parts of a gate that are projected. Distortion bends it."""
     straight_px: float = 0.05
-    """Points of a gate's image this close to a straight part are left out, pixels."""
+    """Points of a gate's line this close to a straight part are omitted, pixels."""
     px_per_m: int = 10
     """Pixels per metre of the image from above."""
     margin_m: int = 5
@@ -39,30 +39,30 @@ LOCAL_SYSTEM: Final = 'LOCAL_CS["metres of the site",UNIT["metre",1]]'
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OtView:
-    """A picture that places of the road are pixels of."""
+    """Image with a mapping from road positions to pixels."""
 
     name: str
-    """Stem of the files' names."""
+    """Stem of the file names."""
     size: tuple[int, int] | None
     """Width and height, pixels; None: not known."""
     pixels: Callable[[Array], Array]
-    """Takes places (M, 2) of a trajectory to columns and rows (M, 2); NaN where they have none."""
+    """Maps positions (M, 2) of a track to columns and rows (M, 2); NaN for positions outside the image plane."""
     gates: tuple[tuple[Gate, Outline], ...]
-    """The gates that counted, and their lines in pixels."""
+    """The counted gates, with their lines in pixels."""
     georeference: dict[str, Any] | None = None
-    """An entry of the `.ottrk`, which makes OTAnalytics count in metres; None: the picture is a camera's."""
+    """Entry of the `.ottrk` that makes OTAnalytics count in metres; None for the image of a camera."""
     geo: Callable[[Array], Array] | None = None
-    """Takes places (M, 2) to metres (M, 2) of the georeference's coordinate system; None where there is none."""
+    """Maps positions (M, 2) to metres (M, 2) in the coordinate system of `georeference`; None without one."""
 
     def inside(self, pixels: Array) -> NDArray[np.bool_]:
-        """(M,) which pixels (M, 2) lie in the picture: OTAnalytics refuses a file with any before its edges."""
+        """Return (M,) whether pixels (M, 2) are inside the image. OTAnalytics rejects files with pixels outside."""
         return np.asarray(((pixels >= 0) & (pixels <= (self.size or np.inf))).all(axis=1))
 
 
 def image_view(gates: Sequence[Gate], camera: Camera) -> OtView:
-    """View of a camera on positions in metres on a road at z = 0.
+    """Return the view of a camera on positions in metres on a road at z = 0.
 
-    A gate that was drawn in the image keeps its pixels. Of a gate that has a line on the road alone, the longest part
+    A gate that was drawn in the image keeps its pixels. For a gate with only a line on the road, the longest part
     inside the image is kept.
     """
 
@@ -80,7 +80,7 @@ def image_view(gates: Sequence[Gate], camera: Camera) -> OtView:
 
 
 def pixel_view(gates: Sequence[Gate]) -> OtView:
-    """The image that gates are drawn in, of a report without metres: places are columns and negative rows there."""
+    """Return the view of a report without metres, with positions as columns and negative rows of the image."""
     return OtView(
         name="image",
         size=None,
@@ -90,7 +90,7 @@ def pixel_view(gates: Sequence[Gate]) -> OtView:
 
 
 def plan_view(site: "SiteParts", gates: Sequence[Gate], trajectories: Sequence[Track]) -> OtView:
-    """The road from above: a picture, nowhere drawn, that holds all gates and trajectories, ten pixels to a metre."""
+    """Return the view from above: a virtual image of all gates and tracks, with ten pixels per metre."""
     places = [np.array(gate.line) for gate in gates] + [one.xy for one in trajectories]
     shift, crs = _map_of(site)
     everywhere = np.concatenate([*places, np.zeros((0, 2))]) + shift
@@ -121,9 +121,9 @@ def plan_view(site: "SiteParts", gates: Sequence[Gate], trajectories: Sequence[T
 
 
 def _map_of(site: "SiteParts") -> tuple[Array, str]:
-    """(2,) what to add to places, metres, and the coordinate system that they are in then.
+    """Return the (2,) offset to add to positions, metres, and the coordinate system of the result.
 
-    That is the map's where the site says where its (0, 0) is on a UTM grid, else the site's own.
+    The system is UTM if the site gives the UTM position of its origin, otherwise the site's own.
     """
     world = site.world or {}
     origin = world.get("origin", {})
@@ -135,12 +135,12 @@ def _map_of(site: "SiteParts") -> tuple[Array, str]:
 
 
 def _drawn(gate: Gate, size: tuple[int, int]) -> Outline:
-    """A gate's own pixels, where they are of images of this size; else empty."""
+    """Return a gate's own pixels if they refer to images of this size; else empty."""
     return gate.pixels if gate.size in (None, size) else ()
 
 
 def _bent(gate: Gate, pixels: Callable[[Array], Array], size: tuple[int, int]) -> Outline:
-    """The part of a gate's image that lies in an image of a size, the longest one of several; empty for none."""
+    """Return the longest part of a gate's projection inside an image of a given size; empty for none."""
     from shapely import LineString, box, get_parts
 
     ends = np.array(gate.line)

@@ -1,4 +1,4 @@
-"""The tables of a traffic report as Parquet, a file each, with types and missing values kept."""
+"""Tables of a traffic report as Parquet, one file each, with types and missing values."""
 
 import math
 from datetime import datetime
@@ -27,13 +27,13 @@ def write_parquet(folder: Path, report: TrafficReport) -> list[Path]:
 
 
 def check_parquet() -> None:
-    """Raise a UserError where pyarrow is not installed."""
+    """Raise a UserError if pyarrow is not installed."""
     if find_spec("pyarrow") is None:
         raise UserError("parquet: needs pyarrow: pip install 'skope[parquet]'")
 
 
 def _write(path: Path, table: ReportTable) -> Path:
-    """Write a table; a column is of numbers, times or text by the first value that it has."""
+    """Write a table. The first value of a column decides whether it has numbers, times or text."""
     import pyarrow as pa
     from pyarrow.parquet import ParquetWriter
 
@@ -54,7 +54,7 @@ def _write(path: Path, table: ReportTable) -> Path:
 
 
 def _type_of(values: list[Any]) -> Any:
-    """Type of a column: whole numbers only where all are."""
+    """Return the type of a column. It is integer only if all values are whole numbers."""
     import pyarrow as pa
 
     known = [value for value in values if value is not None]

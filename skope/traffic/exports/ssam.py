@@ -1,8 +1,8 @@
-"""Tracks as FHWA's Surrogate Safety Assessment Model reads them: `.trj`, version 3.0.
+"""Tracks for FHWA's Surrogate Safety Assessment Model: `.trj`, version 3.0.
 
-Records without padding, little endian: format, dimensions, and for every 0.1 s a time step with the vehicles that are
-there (FHWA, Open Source SSAM File Format v3.0). Numbers have 24 bits there, so that places count from the south-west
-corner of all tracks, and times from the footage's first frame.
+The file has little-endian records without padding: format, dimensions, and a time step with its vehicles every 0.1 s
+(FHWA, Open Source SSAM File Format v3.0). Numbers have a precision of 24 bits. Positions are therefore relative to the
+south-west corner of all tracks, and times to the first frame of the footage.
 """
 
 import struct
@@ -34,7 +34,7 @@ class SsamFormat:
     has_z: int = 1
     """Vehicles have heights."""
     margin_m: int = 20
-    """Margin around all positions, metres. SSAM drops what lies outside the stated area."""
+    """Margin around all positions, metres. SSAM drops positions outside the stated area."""
 
 
 SSAM_FORMAT: Final = SsamFormat()
@@ -53,9 +53,9 @@ VEHICLE_RECORD: Final = np.dtype(
 
 
 def write_ssam(folder: Path, report: TrafficReport) -> list[Path]:
-    """Write the tracks of a report that count as `tracks.trj`; returns the file.
+    """Write the tracks of a report that may count to `tracks.trj`; return the file.
 
-    Vehicles, people on two wheels and on foot are all vehicles there, by their own sizes. Link and lane are 0.
+    Vehicles, two-wheelers and pedestrians are all vehicles in the file, with their own sizes. Link and lane are 0.
     """
     chosen = [one for one in report.trajectories if may_count(one, report.site.traffic)]
     paths = [path for path in (FootprintPath(one, SSAM_FORMAT.step_s) for one in chosen) if len(path.ticks)]
@@ -79,7 +79,7 @@ def write_ssam(folder: Path, report: TrafficReport) -> list[Path]:
 
 
 def _area(paths: list[FootprintPath]) -> tuple[Array, tuple[int, int]]:
-    """(2,) the corner that places count from, metres, and how far the area goes east and north of it."""
+    """Return the (2,) origin of positions, metres, and the extent of the area to the east and north, metres."""
     places = np.concatenate([np.zeros((0, 2)), *(path.place for path in paths)])
     if not len(places):
         return np.zeros(2), (1, 1)
@@ -89,7 +89,7 @@ def _area(paths: list[FootprintPath]) -> tuple[Array, tuple[int, int]]:
 
 
 def _rows(path: FootprintPath, origin: Array) -> NDArray[np.void]:
-    """The records (M,) of a vehicle at its moments."""
+    """Return the (M,) records of a vehicle."""
     rows = np.zeros(len(path.ticks), VEHICLE_RECORD)
     length, width = path.size
     rows["type"], rows["vehicle"] = _VEHICLE, path.trajectory.number

@@ -1,7 +1,7 @@
-"""Counts as SUMO's tools read them: routeSampler's turns and edges, flowrouter's detectors.
+"""Counts for SUMO's tools: turns and edges of routeSampler, detectors of flowrouter.
 
-Gates say which edges of a network they lie across (`edges` of the site file). Times are seconds from the midnight of
-the day on which the footage begins, or, where that is not known, from the first interval's beginning.
+`edges` of a gate in the site file names the network edges that it crosses. Times are seconds from midnight of the day
+on which the footage begins. If the time of day is not known, they are seconds from the start of the first interval.
 """
 
 from collections import Counter
@@ -25,18 +25,18 @@ if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
 
 HEAVY_CLASSES: Final = frozenset({"lorry", "bus"})
-"""Detectors distinguish two kinds of vehicles."""
+"""Classes of heavy vehicles. Detectors distinguish light and heavy vehicles."""
 GateSide = tuple[str, str]
 """A gate and a direction."""
 
 
 def write_sumo(folder: Path, report: TrafficReport) -> list[Path]:
-    """Write `turns.xml`, `edges.xml`, `detectors.xml` and `detectors.csv`; returns the files.
+    """Write `turns.xml`, `edges.xml`, `detectors.xml` and `detectors.csv`; return the files.
 
-    Counts are those of vehicles and motorcycles, of intervals of which all was observed.
+    Counts are those of vehicles and motorcycles in fully observed intervals.
 
     Raises:
-        UserError: No gate says which edges it lies across.
+        UserError: No gate of the site has `edges`.
     """
     edges = edges_of(report.site)
     whole = [one for one in report.intervals if _observed(report, one)]
@@ -50,7 +50,11 @@ def write_sumo(folder: Path, report: TrafficReport) -> list[Path]:
 
 
 def edges_of(site: "SiteParts") -> dict[GateSide, str]:
-    """The edge of each gate and direction that has one. Raises UserError where none has."""
+    """Return the edge of each gate and direction that has one.
+
+    Raises:
+        UserError: No gate has an edge.
+    """
     edges = {
         (gate.name, direction): edge
         for gate in site.gates
@@ -59,7 +63,7 @@ def edges_of(site: "SiteParts") -> dict[GateSide, str]:
         if edge
     }
     if not edges:
-        raise UserError("no gate of the site has edges, the names of a SUMO network's edges that it lies across")
+        raise UserError("no gate of the site has edges; add the names of the SUMO network edges that each gate crosses")
     return edges
 
 
@@ -68,7 +72,7 @@ def _observed(report: TrafficReport, interval: ClockInterval) -> bool:
 
 
 def _shift(report: TrafficReport) -> float:
-    """Seconds to add to those of the footage: from midnight where the clock is known, else so that none is before 0."""
+    """Return the seconds to add to those of the footage, to count from midnight or from the first interval."""
     if not report.intervals:
         return 0.0
     first = report.intervals[0]
@@ -89,8 +93,7 @@ def _interval(one: ClockInterval, shift: float) -> str:
 def _turns(
     report: TrafficReport, whole: Sequence[ClockInterval], edges: dict[GateSide, str], shift: float
 ) -> Iterator[str]:
-    """Elements with the numbers from edge to edge, in the interval of the first crossing, as in the matrix of
-    movements."""
+    """Yield elements with the numbers from edge to edge, by the interval of the first crossing."""
     for interval in whole:
         pairs = Counter(
             one.sides
@@ -125,7 +128,7 @@ def _detectors(edges: dict[GateSide, str]) -> Iterator[str]:
 def _flows(
     report: TrafficReport, whole: Sequence[ClockInterval], edges: dict[GateSide, str], shift: float
 ) -> Iterator[str]:
-    """Counts and mean speeds, km/h, of light and of heavy vehicles; -1 where nobody has a speed."""
+    """Yield counts and mean speeds (km/h) of light and of heavy vehicles; -1 if there is no speed."""
     yield "Detector;Time;qPKW;qLKW;vPKW;vLKW"
     for interval in whole:
         minute = round((interval.begin_s + shift) / 60)

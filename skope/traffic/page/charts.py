@@ -42,19 +42,19 @@ class ChartStyle:
     thinnest_band: float = 1.5
     """Width of its thinnest band."""
     gate_gap_deg: float = 14.0
-    """Angle between where bands leave a gate and where they enter it, degrees."""
+    """Angle between the points where bands leave and enter a gate, degrees."""
     turn_inward: float = 0.25
     """Distance of a turn's band from the middle, as a share of the radius, at the band's middle."""
     u_turn_inward: float = 0.6
-    """The same of a U-turn."""
+    """Distance of a U-turn's band from the middle, as a share of the radius."""
     speed_bin_kmh: float = 5.0
     """Width of a bin of speeds, km/h."""
     headway_bin_s: float = 1.0
     """Width of a bin of headways, seconds."""
     longest_headway_s: float = 20.0
-    """Headway up to which vehicles follow each other, seconds."""
+    """Longest headway in the histogram, seconds."""
     fewest: int = 5
-    """Smallest number of values of a distribution."""
+    """Minimum number of values for a histogram."""
     axis_parts: int = 5
     """Number of parts of an axis."""
     most_marks: int = 48
@@ -69,15 +69,15 @@ Pair = tuple[GateDirection, GateDirection]
 
 
 def movement_matrices(report: TrafficReport, classes: Sequence[str]) -> list[Block]:
-    """A matrix of the whole footage for each class, and matrices by interval in a section that opens.
+    """Return a matrix of the whole footage for each class, and matrices by interval in a collapsible section.
 
     Args:
         report: The report.
-        classes: `ALL_CLASSES`, and `VEHICLE_CATEGORY` if others are counted too; the first one has matrices by
-        interval.
+        classes: `ALL_CLASSES`, and `VEHICLE_CATEGORY` if others are counted too. The first one has matrices by
+            interval.
 
     Returns:
-        Empty if nobody was seen at two gates.
+        The blocks; empty if no road user was seen at two gates.
     """
     origins, destinations = _sides(report)
     if not origins:
@@ -109,7 +109,7 @@ def _words(class_name: str) -> str:
 
 
 def _sides(report: TrafficReport) -> tuple[list[GateDirection], list[GateDirection]]:
-    """Gates and directions that somebody came from before another gate, and those that somebody went to."""
+    """Return the gates and directions that are origins of movements, and those that are destinations."""
     pairs = [
         (row.origin, row.destination)
         for row in report.turning_total
@@ -135,7 +135,7 @@ def _matrix(
     caption: str,
     counts: Mapping[GateDirection, Count],
 ) -> Table:
-    """One matrix with totals. `counts` holds the gates' counts, which give the intervals of the totals."""
+    """Return one matrix with totals. `counts` has the counts of the gates, for the intervals of the totals."""
 
     def number(origin: GateDirection, destination: GateDirection) -> int:
         row = cells.get((origin, destination))
@@ -182,12 +182,12 @@ def _about(report: TrafficReport, origins: Sequence[GateDirection], destinations
         and (chosen is None or row.gate in chosen)
     ]
     if absent:
-        text += f" Nobody was followed from these to another gate, or to these from another: {', '.join(absent)}."
+        text += f" No road user was tracked between these gates and another gate: {', '.join(absent)}."
     return text
 
 
 def flow_diagram(report: TrafficReport) -> Markup:
-    """A figure; nothing where nobody was seen at two gates."""
+    """Return the diagram of movements; empty if no road user was seen at two gates."""
     vehicles = any(one.class_name == VEHICLE_CATEGORY for one in report.turning_total)
     whole = [
         one
@@ -236,7 +236,7 @@ def flow_diagram(report: TrafficReport) -> Markup:
 
 
 def _angles(middles: dict[str, Array]) -> dict[str, float]:
-    """Angle of each gate around the middle of all, radians, moved apart where two are near each other."""
+    """Return the angle of each gate around the centre of all gates, radians. Angles keep a minimum distance."""
     centre = np.mean(list(middles.values()), axis=0)
     found = {name: math.atan2(*(place - centre)[::-1]) for name, place in middles.items()}
     names = sorted(found, key=lambda name: found[name])
@@ -257,9 +257,10 @@ def _at(angle: float, radius: float) -> tuple[float, float]:
 def _band(
     one: TurningMovementCount, angles: dict[str, float], most: int, style: int, rank: int
 ) -> tuple[Markup, Markup]:
-    """The band of a movement, and its number: farther along for each larger one from the same gate and direction.
+    """Return the band of a movement and its number.
 
-    Who comes in keeps to the right of who goes out.
+    The number is farther along the band for each larger movement from the same gate and direction. Bands into a gate
+    are to the right of bands out of it.
     """
     half = math.radians(CHART_STYLE.gate_gap_deg) / 2
     begin, end = angles[one.origin[0]] + half, angles[one.destination[0]] - half
@@ -293,7 +294,7 @@ def _names(angles: dict[str, float]) -> Iterator[Markup]:
 
 
 def counts_over_time(report: TrafficReport) -> Iterator[Markup]:
-    """A figure for each gate: how many of all crossed it in each interval, as flows an hour."""
+    """Yield a figure for each gate: hourly flow of all road users by interval."""
     if len(report.intervals) < 2:
         return
     for gate in report.gates:
@@ -313,14 +314,14 @@ def counts_over_time(report: TrafficReport) -> Iterator[Markup]:
         if lines:
             end = max(x for line in lines for x in line.x) or 1.0
             top = max(y for line in lines for y in line.y if y is not None)
-            axes = Axes(x_label=_hours(report), y_label="road users an hour", x_end=_round(end), y_end=_whole(top))
+            axes = Axes(x_label=_hours(report), y_label="road users per hour", x_end=_round(end), y_end=_whole(top))
             yield chart(
                 f"{gate.name}: over time", axes, lines, every=math.ceil(len(report.intervals) / CHART_STYLE.most_marks)
             )
 
 
 def _hours(report: TrafficReport) -> str:
-    """Label of hours: what they count from."""
+    """Return the axis label of hours, with their origin."""
     return "hours of the footage" if report.start is None else f"hours after {report.start:%H:%M:%S on %d %b %Y}"
 
 
@@ -329,7 +330,7 @@ def _hourly(count: int | None, observed_s: float) -> float | None:
 
 
 def speed_histograms(report: TrafficReport) -> Iterator[Markup]:
-    """A figure for each gate: how fast motor vehicles crossed it."""
+    """Yield a figure for each gate: speeds of motor vehicles."""
     for gate in report.gates:
         groups = {
             name: [
@@ -343,7 +344,7 @@ def speed_histograms(report: TrafficReport) -> Iterator[Markup]:
 
 
 def headway_histograms(report: TrafficReport) -> Iterator[Markup]:
-    """A figure for each gate: how long after the one before vehicles crossed it."""
+    """Yield a figure for each gate: headways of vehicles."""
     for gate in report.gates:
         groups = {
             name: [
@@ -367,7 +368,7 @@ def _histogram(title: str, unit: str, groups: dict[str, list[float]], step: floa
     enough = {name: values for name, values in known.items() if len(values) >= CHART_STYLE.fewest}
     if not enough:
         return
-    # So long that the axis, which has five parts, has whole numbers.
+    # The axis has five parts; its end is chosen so that all of them are at whole numbers.
     part = CHART_STYLE.axis_parts * step
     end = part * max(1, math.ceil(max(float(values.max()) for values in enough.values()) / part + 1e-9))
     bands = np.arange(0, end + step / 2, step)
@@ -377,16 +378,16 @@ def _histogram(title: str, unit: str, groups: dict[str, list[float]], step: floa
         for name, values in list(enough.items())[: CHART_STYLE.most_lines]
     ]
     top = max(y for line in lines for y in line.y if y is not None)
-    yield histogram(title, Axes(x_label=unit, y_label="how many", x_end=end, y_end=_whole(top)), lines)
+    yield histogram(title, Axes(x_label=unit, y_label="number", x_end=end, y_end=_whole(top)), lines)
 
 
 def _whole(value: float) -> float:
-    """A round number that is no smaller and has whole numbers at all parts of an axis."""
+    """Return a round number that is not smaller and gives whole numbers at all parts of an axis."""
     return CHART_STYLE.axis_parts * max(1.0, math.ceil(_round(value / CHART_STYLE.axis_parts) - 1e-9))
 
 
 def _round(value: float) -> float:
-    """A round number that is no smaller."""
+    """Return a round number that is not smaller."""
     if value <= 0:
         return 1.0
     power = 10.0 ** math.floor(math.log10(value))

@@ -53,7 +53,7 @@ def with_interval(row: Count) -> Cell:
 
 
 def interval_label(report: TrafficReport, interval: ClockInterval) -> str:
-    """Begin of an interval, plain text without breaks: the time, with the day if there are several, or minutes."""
+    """Return the start of an interval as text without breaks: time, with the day if there are several, or minutes."""
     return _time(report, interval.begin, interval.begin_s)
 
 

@@ -1,4 +1,4 @@
-"""The gates of a report, with their directions and counts, over the empty road as the camera shows it."""
+"""Drawing of the gates of a report, with directions and counts, over the camera's image of the empty road."""
 
 import base64
 from collections.abc import Iterator
@@ -115,9 +115,9 @@ def _gate(
 
 
 def _forward(line: Array, arrow: Array) -> Array:
-    """(2,) unit vector across a gate's line in the image, to the side that its first direction goes to.
+    """Return the (2,) unit vector across a gate's line in the image, in the gate's first direction.
 
-    The road's own normal may lie along the line in the image, where the camera looks along the road from low above.
+    The projection of the road's own normal is not used: with a low camera it may be parallel to the line in the image.
     """
     along = line[-1] - line[0]
     across = np.array([-along[1], along[0]]) / max(1e-9, float(np.linalg.norm(along)))

@@ -1,4 +1,4 @@
-// Counting by hand while the footage plays: the page's part that a person uses.
+// User interface for counting manually while the footage plays.
 
 import { byId, element, text } from "./dom.js";
 import { checkedState, clockAt, csvOf, gehOf, overlapOf, rowsOf, spoken, unobserved, within } from "./manual_count_numbers.js";
@@ -12,7 +12,7 @@ const RATES = [0.5, 0.75, 1, 1.5, 2], JUMP_S = 5, SLACK_S = 0.5, FEW = 20;
 const sideName = (k) => `${data.sides[k].gate} (${data.sides[k].direction})`;
 const keyOf = (k) => KEYS[k] || "";
 
-// -------------------------------------------------------------------------------- what is kept over a reload
+// -------------------------------------------------------------------------------- state that survives a reload
 let state = { done: [], current: null };
 let pending = null; // the first of two keys of a movement
 let keeps = true;
@@ -25,7 +25,7 @@ try {
 try {
   state = checkedState(data, JSON.parse(kept));
 } catch {
-  // Something else lies there: the page begins anew.
+  // The stored value is invalid: start with an empty state.
 }
 const keep = () => {
   try {
@@ -46,14 +46,14 @@ const say = (...lines) => {
   $("note").replaceChildren(...lines.filter(Boolean).flatMap((line, i) => (i ? [text("br"), line] : [line])));
 };
 const UNPLAYABLE =
-  "This browser cannot play that file. Browsers play H.264, VP9 and AV1, but neither MPEG-4 part 2 (mp4v, Xvid, DivX: what OpenCV and many recorders write), nor MJPEG, nor most AVI files. " +
-  "Make a copy that they play, which keeps the times, and choose that: ffmpeg -i VIDEO -c:v libx264 -pix_fmt yuv420p -an copy.mp4";
+  "This browser cannot play that file. Browsers play H.264, VP9 and AV1. They do not play MPEG-4 part 2 (mp4v, Xvid, DivX, as written by OpenCV and many recorders), MJPEG and most AVI files. " +
+  "Make a playable copy with the same times and choose it: ffmpeg -i VIDEO -c:v libx264 -pix_fmt yuv420p -an copy.mp4";
 const compared = (file) => {
   const part = data.recordings[$("recording").value || 0];
   const lasts = part.end_s - offset(), lines = [];
   if (Math.abs(video.duration - lasts) > Math.max(2, 0.01 * lasts))
-    lines.push(`The file lasts ${spoken(video.duration)}, the footage that was measured ${spoken(lasts)}: is it another one, or a part that begins at another second?`);
-  if (part.source && stem(file) !== stem(part.source)) lines.push(`The footage was called ${part.source}, the file ${file}.`);
+    lines.push(`The file lasts ${spoken(video.duration)}, the measured footage ${spoken(lasts)}. Check that it is the same footage, and the second at which it starts.`);
+  if (part.source && stem(file) !== stem(part.source)) lines.push(`The measured footage is ${part.source}, the file is ${file}.`);
   return lines;
 };
 let fileName = "";
@@ -61,7 +61,7 @@ const stem = (name) => name.replace(/\.[^.]*$/, "");
 const opened = (file) => {
   URL.revokeObjectURL(video.src);
   fileName = file.name;
-  // A count that is not finished goes on at the second at which its file begins.
+  // An unfinished count keeps the start second of its file.
   const same = data.recordings.findIndex((one) => stem(one.source) === stem(file.name));
   if (same >= 0 && !state.current) chosenRecording(same);
   video.hidden = true;
@@ -85,7 +85,7 @@ video.addEventListener("loadedmetadata", () => {
   $("seek").max = video.duration;
   const goOn = state.current ? state.current.seen : null;
   if (goOn !== null) video.currentTime = Math.max(0, goOn - offset());
-  say(...compared(fileName), goOn === null ? "" : `The count goes on at ${spoken(goOn)}.`);
+  say(...compared(fileName), goOn === null ? "" : `The count resumes at ${spoken(goOn)}.`);
   drawGates();
   show();
 });
@@ -117,7 +117,7 @@ const rated = (rate) => {
   for (const one of root.querySelectorAll("[data-rate]")) one.setAttribute("aria-pressed", Number(one.dataset.rate) === rate);
 };
 
-// While somebody counts, only what was looked at counts: nobody can go beyond it but by playing, or frame by frame.
+// During a count, the user can move past the watched part only by playing or frame by frame, so that nothing is skipped.
 const looked = () => {
   if (!state.current || !loaded()) return;
   const at = now();
@@ -125,7 +125,7 @@ const looked = () => {
     state.current.seen = at;
   } else if (at > state.current.seen) {
     video.currentTime = state.current.seen - offset();
-    say(`You have looked at the footage until ${spoken(state.current.seen)}: a count has no holes.`);
+    say(`You have watched the footage until ${spoken(state.current.seen)}. A count must not skip any part.`);
   }
 };
 const ticked = () => {
@@ -152,7 +152,7 @@ const drawGates = () => {
   $("picture").style.setProperty("--ratio", video.videoWidth / video.videoHeight || 1.78);
   if (!data.view || !loaded()) return;
   const [width, height] = data.view.size || [video.videoWidth, video.videoHeight];
-  // A pixel of the screen in the drawing.
+  // Size of a screen pixel in units of the drawing.
   const unit = width / ($("picture").clientWidth || width);
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
   svg.setAttribute("preserveAspectRatio", "none");
@@ -168,11 +168,11 @@ const drawGates = () => {
     if (!one.arrow) continue;
     const sides = data.sides.map((side, k) => ({ ...side, k })).filter((side) => side.gate === one.gate);
     const [[x0, y0], [x1, y1]] = one.arrow, [x2, y2] = middle(one.arrow);
-    // Keys stand beside their gate, and nearer to it than to any other.
+    // Place keys beside their gate, closer to it than to any other gate.
     const apart = drawn.filter((other) => other !== one).map((other) => Math.hypot(middle(other.arrow)[0] - x2, middle(other.arrow)[1] - y2));
     const far = Math.min(19 * unit, ...apart.map((distance) => 0.4 * distance)) / (Math.hypot(x1 - x0, y1 - y0) || 1);
     sides.forEach((side, k) => {
-      // The first direction goes to where the arrow points, and its key stands there.
+      // The key of the first direction is at the head of the arrow.
       const turn = k ? -1 : 1, x = x2 + turn * far * (x1 - x0), y = y2 + turn * far * (y1 - y0);
       add("path", { d: `M${x2} ${y2}L${x} ${y}`, class: "hand-way" });
       add("text", { x, y, "text-anchor": "middle", "dominant-baseline": "middle", class: "hand-key" }, keyOf(side.k) || side.direction);
@@ -194,7 +194,7 @@ const begin = () => {
   const second = Math.max(Math.floor(now() + 1e-6), Math.ceil(first - 1e-6), Math.ceil(offset() - 1e-6)), asked = wanted();
   if (!asked.sides.length) return say("Choose a gate and direction.");
   if (second >= last || unobserved(data.spans, second, second + 1).seconds > 0.5)
-    return say(`At ${spoken(second)} nothing was observed: the footage was measured from ${spoken(first)} to ${spoken(last)}. Begin elsewhere.`);
+    return say(`Nothing was observed at ${spoken(second)}. The footage was measured from ${spoken(first)} to ${spoken(last)}; begin within that time, outside gaps.`);
   video.pause();
   state.current = { begin: second, seen: second, offset: offset(), presses: [], ...asked };
   video.currentTime = Math.max(0, second - offset());
@@ -231,10 +231,10 @@ const undo = () => {
 };
 const finish = () => {
   const current = state.current, end = Math.floor(Math.min(current.seen, data.spans[data.spans.length - 1][1] + SLACK_S) + 1e-6);
-  if (end <= current.begin) return say("Nothing was counted yet: a count lasts a second at least.");
+  if (end <= current.begin) return say("The count is too short: count for at least one second.");
   const hole = unobserved(data.spans, current.begin, end);
   if (hole.seconds > 1)
-    return say(`From ${spoken(hole.first)} on ${hole.seconds.toFixed(1)} s were not observed: frames are missing, or the camera was moved. A count cannot go over that: throw it away, and finish the next one before it.`);
+    return say(`The footage has a gap of ${hole.seconds.toFixed(1)} s at ${spoken(hole.first)}: frames are missing, or the camera was moved. A count must not include a gap: discard this count, and finish the next one before the gap.`);
   video.pause();
   const { seen, offset: from, ...whole } = current;
   state.done.push({ ...whole, end });
@@ -246,14 +246,14 @@ const finish = () => {
   $("done").scrollIntoView({ block: "nearest" });
 };
 const drop = () => {
-  if (state.current.presses.length && !confirm("Throw this count away?")) return;
+  if (state.current.presses.length && !confirm("Discard this count?")) return;
   state.current = null;
   pending = null;
   keep();
   show();
 };
 
-// -------------------------------------------------------------------------------- what is shown
+// -------------------------------------------------------------------------------- display
 const clocked = () => {
   const clock = clockAt(data.clocks, now());
   $("time").textContent = loaded() ? `${spoken(now(), 1)} of the footage${clock ? `, ${clock}` : ""}` : "";
@@ -287,8 +287,8 @@ const listed = () => {
   }
   $("asked").textContent =
     pending === null
-      ? `Press a key, or the button, for each (${kindName(current.kind)}) that ${current.what === "crossings" ? "crosses, when its middle does" : "crosses: the gate where it comes from, and at once the one where it goes to"}.`
-      : `From ${sideName(pending.side)} to ... ? Press where it goes to; undo forgets it.`;
+      ? `Press the key or button of the gate for each road user (${kindName(current.kind)})${current.what === "crossings" ? " when its centre crosses" : ": first the gate of origin, then at once the gate of destination"}.`
+      : `From ${sideName(pending.side)} to ... ? Press the gate of destination, or undo.`;
 };
 const kindName = (kind) => ({ all: "all road users", motor: "vehicles and motorcycles" })[kind] || kind;
 const countTable = (count, number) => {
@@ -296,7 +296,7 @@ const countTable = (count, number) => {
   const table = text("table"), head = text("tr"), body = text("tbody");
   const clock = clockAt(data.clocks, count.begin);
   table.append(text("caption", `Count ${number}: ${kindName(count.kind)}, from ${spoken(count.begin)} to ${spoken(count.end)}${clock ? ` (${clock} to ${clockAt(data.clocks, count.end)})` : ""}`));
-  for (const title of [count.what === "crossings" ? "gate" : "movement", "by hand", "counted", "off", "GEH"]) head.append(text("th", title, { scope: "col" }));
+  for (const title of [count.what === "crossings" ? "gate" : "movement", "manual", "counted", "error", "GEH"]) head.append(text("th", title, { scope: "col" }));
   const cells = ({ what, hand, counted }) => {
     const row = text("tr"), signed = (value) => (value > 0 ? "+" : "") + value, held = counted !== null;
     const off = text("td", held ? signed(counted - hand) + (hand ? " " : "") : "–");
@@ -314,11 +314,11 @@ const countTable = (count, number) => {
   const wrong = rows.reduce((sum, one) => sum + Math.abs(one.counted - one.hand), 0), all = rows.reduce((sum, one) => sum + one.hand, 0);
   const near = rows.filter((one) => held && gehOf(one.hand, one.counted, count.end - count.begin) < 5).length;
   const lines = [
-    held ? `Together ${wrong} off, of ${all} counted by hand; GEH under 5 in ${near} of ${rows.length}.` : "",
-    held ? "" : "The page does not hold so many crossings: what was counted comes with --manual-count.",
-    few ? `${few} of ${rows.length} have fewer than ${FEW} by hand: that says as good as nothing of how right the count is.` : "",
-    late ? `${late} that you pressed after ${spoken(count.end)} are not in it: a count has whole seconds.` : "",
-    count.what === "movements" ? "Movements are compared here alone: --manual-count reads crossings of gates." : "",
+    held ? `Sum of the errors: ${wrong}, in manual counts of ${all}; GEH under 5 in ${near} of ${rows.length}.` : "",
+    held ? "" : "There are too many crossings for this page: use --manual-count to compare the counts.",
+    few ? `${few} of ${rows.length} manual counts are below ${FEW}: too few to judge the accuracy.` : "",
+    late ? `${late} key presses after ${spoken(count.end)} are excluded: a count ends at a whole second.` : "",
+    count.what === "movements" ? "Movements are compared only on this page: --manual-count reads crossings of gates." : "",
   ];
   const gone = text("button", "delete this count", { type: "button" });
   gone.addEventListener("click", () => {
@@ -336,15 +336,15 @@ const results = () => {
   const out = state.done.flatMap((count, k) => countTable(count, k + 1)), twice = overlapOf(data, state.done);
   if (address) URL.revokeObjectURL(address);
   address = null;
-  if (twice) out.push(text("p", `${twice.gate} (${twice.direction}) was counted twice at one time: delete one of the two counts before you take the file.`));
+  if (twice) out.push(text("p", `Two counts of ${twice.gate} (${twice.direction}) overlap in time: delete one of them before you download the file.`));
   else if (state.done.some((one) => one.what === "crossings")) {
     address = URL.createObjectURL(new Blob([csvOf(data, state.done)], { type: "text/csv" }));
     const link = text("p", "");
     link.append(
       text("a", "Download manual_count.csv", { href: address, download: "manual_count.csv", id: "hand-download", class: "hand-main" }),
-      " and give it to the same command on the same tracks, with another folder: ",
+      " and pass it to the same command with the same tracks and a new output folder: ",
       text("code", "--manual-count manual_count.csv --out ANOTHER"),
-      ". That report says how far the counts may be from the truth.",
+      ". The new report shows the errors of the counts and updated intervals.",
     );
     out.push(link);
   }
@@ -369,14 +369,14 @@ const show = () => {
   if (counting) {
     sideButtons();
     listed();
-    if (!loaded()) say("A count is not finished: choose the video file again, and it goes on where it was.");
-    // To choose the file again.
+    if (!loaded()) say("A count is unfinished: choose the video file again to resume it.");
+    // Show the controls for choosing the file again.
     root.classList.toggle("hand-lost", !loaded());
   } else {
     root.classList.remove("hand-lost");
     results();
   }
-  if (!keeps) $("note").append(text("br"), "This browser keeps nothing for this page: do not reload it before you have downloaded the file.");
+  if (!keeps) $("note").append(text("br"), "This browser does not store data for this page: download the file before you reload the page.");
   clocked();
 };
 const sidesShown = () => {
@@ -384,12 +384,12 @@ const sidesShown = () => {
   for (const box of root.querySelectorAll("#hand-sides input")) box.disabled = moves && !data.sides[box.value].moves;
 };
 
-// -------------------------------------------------------------------------------- what is pressed
+// -------------------------------------------------------------------------------- input
 const KEYBOARD = { " ": play, ArrowLeft: () => step(-1), ArrowRight: () => step(1), Backspace: undo };
 document.addEventListener("keydown", (event) => {
   if (!state.current || event.ctrlKey || event.altKey || event.metaKey || event.target.closest("input, select, textarea")) return;
   const rate = { "-": -1, "+": 1, "=": 1 }[event.key];
-  // Digits also where a layout has them behind Shift.
+  // Accept digits also on keyboard layouts that need Shift for them.
   const pressed = (/^Digit\d$/.test(event.code) ? event.code.slice(5) : event.key).toLowerCase();
   const side = pressed.length === 1 ? KEYS.indexOf(pressed) : -1;
   let done = true;

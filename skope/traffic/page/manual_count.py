@@ -1,7 +1,7 @@
-"""Counting by hand in the page while the footage plays: the panel and its data.
+"""Data for counting manually in the page while the footage plays.
 
-The data are gates, observed times and crossings. Times of crossings are whole milliseconds, each as the difference from
-the one before, with a letter for the class: some five bytes each.
+The data are gates, observed times and crossings. Each crossing is the time since the previous crossing in whole
+milliseconds, followed by the letter of its class: about five bytes.
 """
 
 import hashlib
@@ -35,7 +35,7 @@ class ManualCountPage:
     """Limits and sizes of the page of manual counts."""
 
     most_crossings: int = 100_000
-    """Maximum number of crossings on the page: about 0.6 MB."""
+    """Maximum number of crossings on the page (about 0.6 MB). With more, the page has none."""
     arrow_m: float = 3.0
     """Length of the arrow of a direction on the road, metres."""
     arrow_px: float = 20.0
@@ -48,11 +48,11 @@ MANUAL_COUNT_PAGE: Final = ManualCountPage()
 
 
 def manual_count_data(report: TrafficReport, camera: Camera | None) -> dict[str, Any]:
-    """Data for the page's script, as JSON has it.
+    """Return the data for the page's script as JSON values.
 
     Args:
         report: The report.
-        camera: What the footage was seen with; None: not known, and no gate is drawn over the video.
+        camera: The camera of the footage; None: not known, and no gate of a report in metres is drawn over the video.
     """
     sides = [(gate.name, name) for gate in report.gates for name in direction_names(gate)]
     turning = report.site.traffic.turning
@@ -75,7 +75,7 @@ def manual_count_data(report: TrafficReport, camera: Camera | None) -> dict[str,
 
 
 def _kinds(report: TrafficReport) -> list[list[str]]:
-    """Names of what can be counted, and the letters of the classes in each."""
+    """Return the names of the groups that can be counted, and the letters of the classes in each group."""
     classes = report.site.traffic.classes
     whole = {
         ALL_CLASSES: frozenset(TRAFFIC_CLASSES),
@@ -90,7 +90,7 @@ def _kinds(report: TrafficReport) -> list[list[str]]:
 
 
 def _recordings(report: TrafficReport) -> list[dict[str, Any]]:
-    """Name of each recording, when its own second 0 was, and when it ended: seconds of the report."""
+    """Return name, own second 0 and end of each recording, seconds of the report."""
     parts = report.observation.parts or (report.observation,)
     begins = [one.begin_s for one in report.recordings] or [0.0]
     names = [one.source for one in report.recordings] or [report.observation.source]
@@ -101,7 +101,7 @@ def _recordings(report: TrafficReport) -> list[dict[str, Any]]:
 
 
 def _clocks(intervals: Sequence[ClockInterval]) -> Iterable[list[float]]:
-    """The clock's second of the day at seconds of the footage: at the first one, and wherever clocks are changed."""
+    """Yield pairs of a second of the footage and the second of the day: at the start and at each clock change."""
     offset: object = None
     for one in intervals:
         if one.begin is not None and one.begin.utcoffset() != offset:
@@ -114,20 +114,20 @@ def _second_of_day(time: datetime) -> float:
 
 
 def _step(times_s: Array) -> float:
-    """Usual time from frame to frame, seconds."""
+    """Return the usual time between frames, seconds."""
     return round(float(np.median(np.diff(times_s))), 4) if len(times_s) > 1 else 0.1
 
 
 def view_of_gates(report: TrafficReport, camera: Camera | None) -> dict[str, Any] | None:
-    """Gates in the camera's image, as JSON has them, pixels.
+    """Return the gates in the camera's image as JSON values, pixels.
 
     Args:
         report: The report.
         camera: The camera of a report in metres; None: not known.
 
     Returns:
-        `size` (width and height, None if not known), and of each visible gate its name, its line and the arrow of its
-        first direction. None for a report in metres without a camera.
+        `size` (width and height, None if not known), and `gates` with name, line and arrow of the first direction of
+        each visible gate. None for a report in metres without a camera.
     """
     if report.metres and camera is None:
         return None
@@ -146,14 +146,14 @@ def view_of_gates(report: TrafficReport, camera: Camera | None) -> dict[str, Any
 
 
 def _arrow(gate: Gate, view: OtView, length: float) -> list[list[float]] | None:
-    """From the left of a gate to its right, pixels; None where that cannot be seen."""
+    """Return the arrow from the left of a gate to its right, pixels; None if it is not visible."""
     middle = np.mean(np.array(gate.line), axis=0)
     ends = view.pixels(np.stack([middle + length * normal_of(gate), middle - length * normal_of(gate)]))
     return np.round(ends, MANUAL_COUNT_PAGE.pixel_digits).tolist() if np.isfinite(ends).all() else None
 
 
 def _machine(report: TrafficReport, sides: Sequence[tuple[str, str]]) -> dict[str, Any]:
-    """Crossings of each gate and direction, and movements from one to another; None where crossings are too many."""
+    """Return crossings of each gate and direction, and movements between them; None for too many crossings."""
     if len(report.crossings) > MANUAL_COUNT_PAGE.most_crossings:
         return {"crossings": None, "movements": None}
     numbers = {side: k for k, side in enumerate(sides)}
@@ -173,9 +173,9 @@ def _machine(report: TrafficReport, sides: Sequence[tuple[str, str]]) -> dict[st
 
 
 def packed_times(events: Iterable[tuple[float, str]]) -> str:
-    """Times (seconds) and classes as text: for each the milliseconds since the one before, and the class's letter.
+    """Return times (seconds) and classes as text: milliseconds since the previous event, and the letter of the class.
 
-    Milliseconds are rounded down, so that who crosses before a whole second stays before it.
+    Milliseconds are rounded down so that an event before a whole second stays before it.
     """
     out, last = [], 0
     for time_s, class_name in sorted(events):
@@ -186,8 +186,8 @@ def packed_times(events: Iterable[tuple[float, str]]) -> str:
 
 
 def manual_count_json(report: TrafficReport, camera: Camera | None = None) -> Markup | None:
-    """`manual_count_data` as the page has it; None where the report has no gates, or the footage no frames."""
+    """Return `manual_count_data` as JSON text; None if the report has no gates or the footage no frames."""
     if not report.gates or not len(report.observation.spans):
         return None
-    # No "<" of a name may end the element.
+    # Escape "<", so that no name can close the script element.
     return Markup(json.dumps(manual_count_data(report, camera), separators=(",", ":")).replace("<", "\\u003c"))

@@ -1,20 +1,20 @@
-// What is worked out of a count by hand, without the page.
+// Calculations on manual counts, independent of the page.
 
-// Times (seconds) and letters of classes out of text: each the milliseconds since the one before, and a letter.
+// Unpack times (seconds) and class letters from text: milliseconds since the previous event, and a letter.
 const unpacked = (text) => {
   let now = 0;
   return [...text.matchAll(/(-?\d+)([a-z])/g)].map(([, later, letter]) => ({ s: (now += Number(later)) / 1000, letter }));
 };
 
-// How many of the machine's events lie in a span of seconds and are of a kind.
+// Number of automatically counted events in a period and of a group of classes.
 const machineCount = (text, letters, begin, end) =>
   unpacked(text).filter((one) => one.s >= begin && one.s < end && letters.includes(one.letter)).length;
 
-// The GEH statistic of two counts as vehicles per hour.
+// GEH statistic of two counts as hourly volumes.
 export const gehOf = (hand, counted, seconds) =>
   hand + counted ? Math.sqrt(((3600 / seconds) * 2 * (counted - hand) ** 2) / (counted + hand)) : 0;
 
-// What of a span of seconds was not observed: how many seconds, and where that begins.
+// Unobserved part of a period: duration in seconds, and start of the first gap.
 export const unobserved = (spans, begin, end) => {
   let seconds = 0, first = null, at = begin;
   for (const [from, to] of [...spans, [Infinity, Infinity]]) {
@@ -28,7 +28,7 @@ export const unobserved = (spans, begin, end) => {
   return { seconds, first };
 };
 
-// Seconds as h:mm:ss, with as many digits behind as asked for.
+// Seconds as h:mm:ss, with the given number of decimals.
 export const spoken = (seconds, digits = 0) => {
   const unit = 10 ** digits, whole = Math.floor(Math.max(0, seconds) * unit + 1e-6), rest = Math.floor(whole / unit);
   const two = (n) => String(n).padStart(2, "0");
@@ -36,16 +36,16 @@ export const spoken = (seconds, digits = 0) => {
   return `${Math.floor(rest / 3600)}:${two(Math.floor(rest / 60) % 60)}:${two(rest % 60)}${part}`;
 };
 
-// The clock at a second of the footage, of [second of the footage, second of the day] wherever clocks were changed.
+// Time of day at a second of the footage. `clocks` has [second of the footage, second of the day] at each clock change.
 export const clockAt = (clocks, seconds) => {
   const known = clocks.filter(([from]) => from <= seconds).pop() || clocks[0];
   return known ? spoken((((known[1] + seconds - known[0]) % 86400) + 86400) % 86400) : "";
 };
 
-// The presses of a count that lie in it.
+// Key presses of a count within its period.
 export const within = (count) => count.presses.filter((one) => one.t >= count.begin && one.t < count.end);
 
-// A row for each gate and direction, or pair of them, that was counted: names, by hand, by the machine (null: not held).
+// Rows by gate and direction, or by pair of them: names, manual count, automatic count (null: not available).
 export const rowsOf = (data, count) => {
   const own = within(count), letters = new Map(data.kinds).get(count.kind), name = (k) => `${data.sides[k].gate} (${data.sides[k].direction})`;
   const row = (what, hand, text) => ({ what, hand, counted: text === null ? null : machineCount(text, letters, count.begin, count.end) });
@@ -64,7 +64,7 @@ export const rowsOf = (data, count) => {
   });
 };
 
-// Two counts by hand that would count somebody twice: of a gate and direction, of some class, at some time.
+// Gate and direction of two manual counts that overlap in class and time; null if there are none.
 export const overlapOf = (data, counts) => {
   const kinds = new Map(data.kinds), plain = counts.filter((one) => one.what === "crossings");
   for (const [i, a] of plain.entries())
@@ -76,8 +76,8 @@ export const overlapOf = (data, counts) => {
   return null;
 };
 
-// The file that --manual-count reads: whole seconds of the footage. As in skope/files/csv_files.py, a text that a spreadsheet
-// would run as a formula has an apostrophe before it, and the file begins with a byte order mark.
+// File for --manual-count, with whole seconds of the footage. As in skope/files/csv_files.py, an apostrophe precedes a text
+// that a spreadsheet would run as a formula, and the file begins with a byte order mark.
 export const csvOf = (data, counts) => {
   const safe = (value) => (typeof value === "string" && /^'*[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]/.test(value) ? `'${value}` : String(value));
   const cell = (text) => (/[",\n\r]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
@@ -90,7 +90,7 @@ export const csvOf = (data, counts) => {
   return "\ufeff" + lines.join("\n") + "\n";
 };
 
-// What was kept, if it is what this page keeps; else nothing.
+// Stored state if it is valid for this page; otherwise an empty state.
 export const checkedState = (data, value) => {
   const second = (s) => Number.isFinite(s) && s >= 0 && s < 1e8, side = (k) => Number.isInteger(k) && k >= 0 && k < data.sides.length;
   const kinds = data.kinds.map(([name]) => name);

@@ -1,4 +1,4 @@
-"""The page of a traffic report: one HTML file with nothing outside it, to read and to print."""
+"""Page of a traffic report: one self-contained HTML file for reading and printing."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -52,11 +52,11 @@ class ReportPage:
     """Limits of the report page."""
 
     conflicts: int = 20
-    """Maximum number of conflicts."""
+    """Maximum number of conflicts in the table."""
     seconds_to_minutes: float = 2.0
-    """Observations shorter than this are given in seconds, minutes."""
+    """Observed time below which it is given in seconds, minutes."""
     hours_from_minutes: int = 120
-    """Longer observations are given in hours, minutes."""
+    """Observed time from which it is given in hours, minutes."""
     most_left_out: int = 30
     """Maximum number of rows in a table of crossings that are not counted."""
 
@@ -77,14 +77,14 @@ def write_page(
 
     Args:
         out: The folder of the report.
-        report: What was measured.
-        tracks: What the tracks were read from.
-        road: The empty road from above, that the tracks are drawn on; None: there is no picture.
-        camera: The camera of the footage, to draw gates over its image; None: not known.
-        view: The empty road as the camera shows it, to draw gates on; None: there is no picture.
+        report: The report.
+        tracks: Name of the folder or file that the tracks were read from.
+        road: Image of the empty road from above, as the background of the tracks; None: not available.
+        camera: The camera of the footage, for drawing gates over its video; None: not known.
+        view: Image of the empty road from the camera, as the background of the gates; None: not available.
 
     Returns:
-        The file.
+        Path of the file.
     """
     path = out / REPORT_FILE
     write_text(path, traffic_page(report, tracks=tracks, road=road, camera=camera, view=view))
@@ -99,14 +99,14 @@ def traffic_page(
     camera: Camera | None = None,
     view: EmptyRoadPicture | None = None,
 ) -> str:
-    """Write the page of a report.
+    """Return the page of a report.
 
     Args:
-        report: What was measured.
-        tracks: What the tracks were read from.
-        road: The empty road from above, that the tracks are drawn on; None: there is no picture.
-        camera: The camera of the footage, to draw gates over its image; None: not known.
-        view: The empty road as the camera shows it, to draw gates on; None: there is no picture.
+        report: The report.
+        tracks: Name of the folder or file that the tracks were read from.
+        road: Image of the empty road from above, as the background of the tracks; None: not available.
+        camera: The camera of the footage, for drawing gates over its video; None: not known.
+        view: Image of the empty road from the camera, as the background of the gates; None: not available.
 
     Returns:
         The page as HTML.
@@ -136,7 +136,7 @@ def traffic_page(
 
 
 def _what(report: TrafficReport) -> str:
-    """Sentences on what was counted, and on the time that was observed."""
+    """Return sentences on the number of crossings and tracks, and on the observed time."""
     spans = report.observation.spans
     minutes = report.observation.observed_s / 60
     duration = f"{minutes:.1f} minutes" if minutes < REPORT_PAGE.hours_from_minutes else f"{minutes / 60:.1f} hours"
@@ -162,13 +162,13 @@ def _figures(found: Iterator[Markup]) -> list[Block]:
 
 
 def _without_repeats(report: TrafficReport, rows: Sequence[TurningMovementCount]) -> list[TurningMovementCount]:
-    """The rows, but those of vehicles where nobody else was counted: they say what those of all say."""
+    """Return the rows, without those of vehicles if only vehicles were counted: they would repeat those of all."""
     mixed = any(one.trajectory.category != VEHICLE_CATEGORY for one in (*report.crossings, *report.unseen.doubtful))
     return [one for one in rows if mixed or one.class_name != VEHICLE_CATEGORY]
 
 
 def _lengths(report: TrafficReport) -> list[Block]:
-    """Vehicles by length, a row for each gate and direction; nothing where nobody was told."""
+    """Return the table of vehicles by length, one row per gate and direction; empty if no length was measured."""
     cells: dict[tuple[str, str], list[Cell]] = {}
     for one in report.lengths_total:
         bounds = None if one.bin_name == NO_BIN else in_words(one.expected)
@@ -178,7 +178,7 @@ def _lengths(report: TrafficReport) -> list[Block]:
     first, second = report.site.traffic.length_bins_m
     head = ["gate", f"short, up to {first:g} m", f"medium, up to {second:g} m", "long", "not sure"]
     untold = (
-        f"; of those over {LENGTH_MODEL.longest_measured_m:g} m that is not known"
+        f" (no intervals above {LENGTH_MODEL.longest_measured_m:g} m)"
         if second >= LENGTH_MODEL.longest_measured_m
         else ""
     )
@@ -187,7 +187,7 @@ def _lengths(report: TrafficReport) -> list[Block]:
 
 
 def _movements(report: TrafficReport) -> list[Block]:
-    """Matrices and diagram of movements; vehicles first where others are counted too."""
+    """Return matrices and diagram of movements; vehicles first if other classes are counted too."""
     rows = _without_repeats(report, report.turning_total)
     classes = sorted({row.class_name for row in rows}, key=lambda name: name != VEHICLE_CATEGORY)
     matrices = movement_matrices(report, classes)
@@ -195,7 +195,7 @@ def _movements(report: TrafficReport) -> list[Block]:
 
 
 def _speeds(report: TrafficReport) -> list[Block]:
-    """Speeds of all motor vehicles, and those of single classes where somebody opens them."""
+    """Return the table of speeds of all motor vehicles, and a folded table by class."""
     whole = [one for one in report.speeds if one.interval is None]
     groups = [one for one in whole if any(part.value is not None for part in one.percentiles.values())]
     rows, of_classes = (
@@ -222,15 +222,15 @@ def _speed(one: Percentile) -> Cell:
 
 
 def _left_out(report: TrafficReport) -> list[Block]:
-    """A table for each gate and direction with many crossings that are not counted."""
+    """Return a table for each gate and direction with many crossings that are not counted."""
     found = left_out_crossings(report)
     if not found:
         return []
     head = ["time", "track", "class", "reason"]
     parts: list[Block] = [
-        "Crossings that were seen and not counted, and tracks that may have crossed unseen. They widen the 90% "
-        "intervals. Gates with fewer than three of them are left out, and so are tracks that were never confirmed or "
-        "never moved. Before a gate and behind it are meant in the direction of travel."
+        "Crossings that were detected and not counted, and tracks that may have crossed undetected. They widen the 90% "
+        "intervals. Gates with fewer than three of them are omitted, and so are tracks that were never confirmed or "
+        'never moved. "Before" and "behind" a gate refer to the direction of travel.'
     ]
     for side, left_out in found.items():
         rows = []
@@ -264,14 +264,14 @@ def _conflicts(report: TrafficReport) -> list[Block]:
         who = f"{one.first.class_name} {one.first.number}, {one.second.class_name} {one.second.number}"
         when = f"{one.time_s:.1f} s" if moment is None else f"{moment:%H:%M:%S}"
         rows.append([when, who, one.kind, one.zone, ttc, pet])
-    head = ["when", "who", "kind", "zone", "TTC, s", "PET (SSAM), s"]
-    more = f": the {len(rows)} nearest of {len(found)}" if len(found) > len(rows) else ""
+    head = ["time", "road users", "type", "zone", "TTC, s", "PET (SSAM), s"]
+    more = f": the {len(rows)} most severe of {len(found)}" if len(found) > len(rows) else ""
     caption = f"Conflicts{more}; use them to find locations, not as a count"
     return [Table(caption=caption, head=head, rows=rows)] if rows else []
 
 
 def _upwards(value: float) -> float:
-    """An uncertainty to one digit, which is not rounded to nothing."""
+    """Return an uncertainty rounded up to one decimal, so that it does not become 0."""
     return math.ceil(10 * value) / 10 if math.isfinite(value) else value
 
 
@@ -280,7 +280,7 @@ def _end(value: float) -> str:
 
 
 def _accuracy(report: TrafficReport) -> list[Block]:
-    """Table of hand counts beside what was counted here."""
+    """Return the table that compares manual and automatic counts."""
     rows = []
     for one in report.manual_count_checks:
         hand = one.hand
@@ -301,7 +301,7 @@ def _accuracy(report: TrafficReport) -> list[Block]:
         ]
     errors = [abs(one.count - one.hand.number) for one in report.manual_count_checks]
     total = sum(one.hand.number for one in report.manual_count_checks)
-    said = f"Together {sum(errors)} off, of {total} counted by hand"
+    said = f"Sum of the errors: {sum(errors)}, in manual counts of {total}"
     said += f"; GEH under 5 in {np.mean([one.geh < 5 for one in report.manual_count_checks]):.0%}." if rows else "."
-    head = ["gate", "class", "when", "by hand", "counted", "off", "GEH", "90% interval without the manual count"]
-    return [Table(caption="Counted by hand", head=head, rows=rows), said]
+    head = ["gate", "class", "time", "manual", "counted", "error", "GEH", "90% interval without the manual count"]
+    return [Table(caption="Manual counts", head=head, rows=rows), said]

@@ -1,4 +1,4 @@
-"""The road from above as SVG: who drove where, gates with their counts, zones, lanes, conflicts."""
+"""Map of the road from above as SVG: tracks, gates with their counts, zones, lanes and conflicts."""
 
 import base64
 import math
@@ -51,7 +51,7 @@ ROAD_MAP_STYLE: Final = RoadMapStyle()
 
 
 class _Frame:
-    """Frame that takes places to points of the drawing."""
+    """Conversion of positions to points of the drawing."""
 
     def __init__(self, places: Array) -> None:
         low, high = places.min(axis=0), places.max(axis=0)
@@ -64,16 +64,16 @@ class _Frame:
         self._corner = np.array([(low[0] + high[0] - inner / self.scale) / 2, high[1]])
 
     def points(self, places: Sequence[Sequence[float]] | Array) -> Array:
-        """(M, 2) of places (M, 2)."""
+        """Return the (M, 2) points of positions (M, 2)."""
         return np.asarray((np.asarray(places) - self._corner) * [self.scale, -self.scale] + ROAD_MAP_STYLE.margin)
 
     def path(self, places: Sequence[Sequence[float]] | Array, *, closed: bool = False) -> str:
-        """The d of a path."""
+        """Return the `d` attribute of an SVG path."""
         return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in self.points(places)) + ("Z" if closed else "")
 
 
 def road_map(report: TrafficReport, road: RoadPicture | None) -> Markup:
-    """A figure, on a picture of the empty road where there is one; nothing where there is nothing to draw."""
+    """Return the map as a figure, with an image of the empty road if available; empty without gates and tracks."""
     tracks = [one for one in report.trajectories if may_count(one, report.site.traffic)]
     chosen = tracks[:: max(1, math.ceil(len(tracks) / ROAD_MAP_STYLE.most_tracks))]
     places = _outline(chosen, [gate.line for gate in report.gates])
@@ -103,7 +103,7 @@ def road_map(report: TrafficReport, road: RoadPicture | None) -> Markup:
 
 
 def _outline(tracks: Sequence[Track], lines: Sequence[Outline]) -> Array:
-    """(M, 2) the places that the map has to hold: of gates all, of tracks nearly all, not far from the gates."""
+    """Return (M, 2) positions that the map must include: all gates, and nearly all tracks near the gates."""
     ends = np.array([end for line in lines for end in line], dtype=np.float64).reshape(-1, 2)
     if not tracks:
         return ends
@@ -159,7 +159,7 @@ def _conflicts(report: TrafficReport, frame: _Frame) -> Iterator[Markup]:
 
 
 def _gate(report: TrafficReport, frame: _Frame, name: str, line: Outline) -> Iterator[Markup]:
-    """A gate, its name and its counts."""
+    """Yield a gate, its name and its counts."""
     (ax, ay), (bx, by) = frame.points(line)
     told = [
         (one.direction, one.count or 0, in_words(one.expected))
@@ -174,7 +174,7 @@ def _gate(report: TrafficReport, frame: _Frame, name: str, line: Outline) -> Ite
 
 
 def _bar(frame: _Frame) -> Markup:
-    """A bar of so many metres."""
+    """Return the scale bar."""
     length = max(
         one
         for one in ROAD_MAP_STYLE.bars_m

@@ -143,7 +143,7 @@ def test_what_is_not_sure_is_refused(skope: Any, tmp_path: Path) -> None:
         assert words in error
     assert not Path("c.json").exists()
     code, _, error = skope("eval", "camera", "--picture", old, "--points", "p.csv", "--size", "640x360")
-    assert (code, "are for --refit" in error) == (2, True)
+    assert (code, "--picture, --camera: need --refit" in error) == (2, True)
 
 
 def test_an_old_camera_of_another_image_size_is_scaled(skope: Any, tmp_path: Path) -> None:

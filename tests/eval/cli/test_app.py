@@ -39,7 +39,7 @@ def test_results_without_boxes_are_scored_by_their_points_and_told(skope: Any, t
     code, _, err = skope("eval", "--annotations", truth, "--predictions", results, "--iou", "0.5", "--out", "scores")
     assert code == 0, err
     assert "warning: " in err
-    assert "results.json: 2 results without bbox, first for image 1: their boxes are taken as the extent" in err
+    assert "results.json: 2 results without bbox, first for image 1: the extent of the keypoints" in err
     (split,) = json.loads(Path("scores/metrics.json").read_text())["splits"].values()
     assert split["iou"]["0.5"]["matched"] == 1
 
@@ -53,7 +53,7 @@ def test_annotations_that_cannot_be_right_are_told(skope: Any, tmp_path: Path) -
     spoilt = (replace(first, keypoints=points), replace(second, bbox=second.bbox * [1, 1, 1, 0]))
     coco.write(truth, replace(file, annotations=spoilt))
     err = skope("eval", "--annotations", truth, "--predictions", results, "--out", "scores")[2]
-    assert "1 vehicle with a box without area, which nobody can find; first: annotation 2" in err
+    assert "1 vehicle with a box without area, which no detector can find; first: annotation 2" in err
     assert "1 vehicle with keypoints called visible far outside of the box" in err
 
 
@@ -114,7 +114,7 @@ def test_a_results_file_against_a_split_of_a_dataset(skope: Any, tmp_path: Path)
     common = ("eval", "--data", root, "--predictions", "none.json", "--split", "train")
     code, out, _ = skope(*common)
     assert code == 0
-    assert "No detection scores above 0.9 in train: there is none at all." in out
+    assert "No detection scores above 0.9 in train: there are no detections." in out
     assert out.splitlines()[-1] == "Wrote metrics.json, tallies.json, overlays/ to eval; open eval/report.html"
     before = files_of(tmp_path / "eval")
     code, _, err = skope(*common, "--max-images", 2)
@@ -131,7 +131,7 @@ def test_nothing_above_the_threshold_is_said_with_the_best_score(skope: Any, tmp
     _, out, _ = skope("eval", "--annotations", truth, "--predictions", results)
     assert out.splitlines()[-3:] == [
         "No detection scores above 0.9 in crossing: the highest score is 0.410.",
-        "To see what there is: `skope eval --score 0.3 --out eval_0.3`. AP counts all detections.",
+        "To count weaker detections: `skope eval --score 0.3 --out eval_0.3`. AP includes all detections.",
         "Wrote metrics.json, tallies.json to eval; open eval/report.html",
     ]
     _, out, _ = skope("eval", "--annotations", truth, "--predictions", results, "--score", "0.3", "--out", "eval_0.3")
@@ -255,11 +255,11 @@ def test_results_without_boxes_are_scored_by_the_extent_of_their_points(skope: A
         (("--max-images", "0"), "--max-images: expected a whole number from 1, got 0"),
         (("--checkpoint", "nowhere"), "nowhere: no such checkpoint"),
         (("--device", "abacus"), "abacus"),
-        (("--out", "results.json"), "--out: results.json is a file, expected a folder"),
+        (("--out", "results.json"), "--out: expected a folder, got the file results.json"),
         (("--predictions", "results.json"), "--predictions with a dataset needs exactly one --split"),
-        (("--predictions", "results.json", "--checkpoint", "x"), "--predictions and --checkpoint do not go together"),
-        (("--predictions", "results.json", "--boxes", "given"), "--predictions and --boxes given do not go together"),
-        (("--annotations", "crossing.json"), "--annotations and --data do not go together"),
+        (("--predictions", "results.json", "--checkpoint", "x"), "--predictions and --checkpoint cannot be combined"),
+        (("--predictions", "results.json", "--boxes", "given"), "--predictions and --boxes given cannot be combined"),
+        (("--annotations", "crossing.json"), "--annotations and --data cannot be combined"),
         (("--predictions", "gone.json", "--split", "easy"), "gone.json: no such file"),
     ],
 )
@@ -281,7 +281,7 @@ def test_a_bad_flag_gets_one_line(skope: Any, tmp_path: Path, flags: tuple[str, 
         (("--annotations", "crossing.json"), "--annotations needs --predictions"),
         (
             ("--annotations", "crossing.json", "--predictions", "results.json", "--split", "a"),
-            "--split do not go together",
+            "--split cannot be combined",
         ),
         (("--annotations", "gone.json", "--predictions", "results.json"), "gone.json: no such file"),
         (("--annotations", "results.json", "--predictions", "results.json"), "expected a COCO object"),

@@ -168,7 +168,7 @@ def test_names_of_the_user_are_escaped_and_missing_images_left_out(tmp_path: Pat
     page = Page(text)
     assert "Split a<b" in page.text
     assert page.all("img") == []
-    assert "a<b: no image file is there." in page.text
+    assert "a<b: no image files found." in page.text
     assert "a&b" in page.text
 
 

@@ -92,15 +92,18 @@ def test_published_figures_follow_the_papers_protocol() -> None:
 @pytest.mark.parametrize(
     ("intervals", "words"),
     [
-        ({"unit": "10 s", "blocks": 30, "sites": 1}, "30 blocks of 10 s of one recording: this infers to no other w"),
-        ({"unit": "recording", "blocks": 10, "sites": 1}, "10 recordings of one site: this infers to no other site"),
-        ({"unit": "recording", "blocks": 20, "sites": 2}, "20 recordings of 2 sites: too few to infer to others"),
+        ({"unit": "10 s", "blocks": 30, "sites": 1}, "30 blocks of 10 s of one recording: not valid for other w"),
+        ({"unit": "recording", "blocks": 10, "sites": 1}, "10 recordings of one site: not valid for other sites"),
+        (
+            {"unit": "recording", "blocks": 20, "sites": 2},
+            "20 recordings of 2 sites: too few to be valid for other sites",
+        ),
         ({"unit": "site", "blocks": 15, "sites": 15}, "15 sites"),
         (
             {"unit": "10 s", "blocks": 1, "sites": 1},
             "none, as there are fewer than two blocks of 10 s of one recording",
         ),
-        ({"unit": "image", "blocks": 9, "sites": None}, "9 images; neighbouring frames"),
+        ({"unit": "image", "blocks": 9, "sites": None}, "9 images; the intervals are too narrow"),
     ],
 )
 def test_what_intervals_speak_for_is_said(intervals: dict[str, Any], words: str) -> None:

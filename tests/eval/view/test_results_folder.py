@@ -109,7 +109,7 @@ def spoilt(change: Callable[[dict[str, Any]], Any]) -> Callable[[Path], object]:
         (lambda out: (out / "tallies.json").unlink(), "out/tallies.json: no such file"),
         (
             lambda out: Path("found.json").unlink(),
-            "found.json: no such file, but out/metrics.json is of it; it is looked",
+            "found.json: no such file, but out/metrics.json refers to it; the path",
         ),
         (lambda out: Path("found.json").write_text("[]"), "found.json: has changed since out/metrics.json was written"),
         (
@@ -210,7 +210,7 @@ def test_frames_of_a_video_are_decoded_in_any_order(tmp_path: Path, monkeypatch:
 @pytest.mark.parametrize(
     ("found_at", "said"),
     [
-        (None, "frames.json: info.found_at: does not say where the images are; predict again"),
+        (None, "frames.json: info.found_at: expected the path of the images, found none; predict again"),
         ("../gone", "out/../gone: no such file or folder, but "),
     ],
 )
