@@ -1,7 +1,7 @@
 """Link the boxes of one vehicle from frame to frame of a video.
 
-A box is linked to a vehicle with a predicted box nearby, or to one with points that were followed to the box
-(`Result.track_id` of `skope.footage.key_frames`). A vehicle that is not detected for a while counts as a new vehicle.
+A box is linked to a vehicle with a predicted box nearby, or to one with points that were followed to the box (see
+`skope.footage.key_frames`). A vehicle that is not detected for a while counts as a new vehicle.
 """
 
 from collections.abc import Sequence
