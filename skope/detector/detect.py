@@ -219,7 +219,7 @@ def _road_users(
     labels: Sequence[torch.Tensor],
     categories: Sequence[str],
 ) -> Iterator[RoadUserDetections]:
-    """Those of each image's detections that are no vehicles, in its own pixels.
+    """Return the detections of each image that are no vehicles, in pixels of the image.
 
     Boxes, scores and labels are (N, 4), (N,) and (N,) of each image, the boxes in pixels inside the network.
     """

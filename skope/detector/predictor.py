@@ -202,11 +202,11 @@ class Predictor:
         return self._settings
 
     def check_scheme(self, scheme: Scheme, data: Path) -> None:
-        """Raise a UserError unless the keypoints of `data` mean what this checkpoint's do."""
+        """Raise a UserError unless `data` has the keypoint scheme of this checkpoint."""
         if scheme.name != self.scheme.name:
             raise UserError(
                 f"{self.weights}: has keypoint scheme {self.scheme.name}, {data} has {scheme.name}: they cannot be "
-                "held against each other"
+                "compared"
             )
 
     @property

@@ -155,20 +155,19 @@ def path_beside(weights: Path) -> Path:
 
 
 def check_calibration_free(weights: Path, work: Mapping[str, Any]) -> None:
-    """Raise a UserError where the calibration beside a checkpoint is of other work than `work`."""
+    """Raise a UserError if the calibration beside a checkpoint is the output of another run than `work`."""
     path = path_beside(weights)
     if not path.exists():
         return
     try:
         document = read_json(path)
         held = document.get("work") if isinstance(document, dict) else None
-        different = work_differences(held, work) if held else "it does not say of what"
+        different = work_differences(held, work) if held else "it does not name its run"
     except UserError as error:
         different = str(error)
     if different:
         raise UserError(
-            f"{path}: is there already, of other work ({different}); move it away, or calibrate a copy of the "
-            "checkpoint"
+            f"{path}: is the output of another run ({different}); move it away, or calibrate a copy of the checkpoint"
         )
 
 

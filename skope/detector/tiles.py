@@ -93,7 +93,7 @@ def join_tiles(whole: Detections, parts: Sequence[tuple[Tile, Detections]]) -> D
 
 
 def _best_of_each(users: RoadUserDetections) -> RoadUserDetections:
-    """Those that none of their own category with a better score overlaps, best first."""
+    """Return detections without a better overlapping one of their category, best first."""
     of_category = torch.from_numpy(users.categories)
     kept = batched_nms(
         torch.from_numpy(users.boxes_xyxy), torch.from_numpy(users.scores), of_category, TILE_LIMITS.same_iou

@@ -69,7 +69,7 @@ def render(template: str | Path, **values: Any) -> str:
 
 
 def piece(macro: str, *values: Any, **named: Any) -> Markup:
-    """What a macro of pieces.html makes of its arguments."""
+    """Return the markup of a macro of pieces.html."""
     return Markup(getattr(_environment().get_template("page/pieces.html").module, macro)(*values, **named))
 
 

@@ -363,7 +363,7 @@ class _OtherViews:
 def _other_views(file: AnnotationFile, calibrated: object, camera: Camera | None) -> _OtherViews:
     """Return the images for which a calibration is invalid, and the cameras of those to which it can be turned.
 
-    The calibration belongs to the first view of the footage, unless its `source` and `seconds` name another one.
+    The calibration belongs to the first view of the footage, unless its `source` and `seconds` name another view.
     `camera` is None if its pose is unknown: then it cannot be turned.
     """
     views = read_views(file.name, file.info)

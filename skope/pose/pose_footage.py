@@ -230,8 +230,8 @@ def locate_footage(job: PoseJob, console: Console) -> Iterator[str]:
         yield f"wrote {path}"
     between = reasons.pop(INTERPOLATED_REASON, 0)
     found = reasons.total()
-    besides = f"; {between} more were followed between key frames and have none" if between else ""
-    yield f"{reasons[None]} poses of {found} vehicles; {found - reasons[None]} rejected{besides}"
+    interpolated_text = f"; {between} more were followed between key frames and have none" if between else ""
+    yield f"{reasons[None]} poses of {found} vehicles; {found - reasons[None]} rejected{interpolated_text}"
     if scene.has_truth:
         yield from _errors(job)
     progress.end()

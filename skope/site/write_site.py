@@ -51,7 +51,7 @@ def _unchanged(path: Path, whole: Path, revision: str | None) -> bytes | None:
     data = read_bytes(whole) if whole.exists() else None
     if (None if data is None else hashlib.sha256(data).hexdigest()) != revision:
         raise UserError(
-            f"{path}: {'is there already' if revision is None else 'was changed by somebody else since it was read'}; "
+            f"{path}: {'exists already' if revision is None else 'has been changed since it was read'}; "
             "nothing was saved: open it again"
         )
     return data

@@ -132,7 +132,7 @@ def counted(number: int, noun: str) -> str:
 
 
 def disk_size(size: float) -> str:
-    """So many bytes on disk in words: 7 MB, 1.4 GB."""
+    """Format a number of bytes: 7 MB, 1.4 GB."""
     return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.0f} MB"
 
 

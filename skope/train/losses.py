@@ -215,10 +215,10 @@ def _head_losses(
     label = labels.clamp(min=0).flatten()
     wrong = functional.cross_entropy(logits, label, reduction="none").view_as(drawn)
     offsets = offsets_of_label(deltas, label).view_as(boxes)
-    truth, somebody = _pick(batch.boxes, matched), drawn & (labels > 0)
-    error = _box_error(offsets, truth, boxes, heads.box_coder.weights, somebody).sum()
+    truth, assigned = _pick(batch.boxes, matched), drawn & (labels > 0)
+    error = _box_error(offsets, truth, boxes, heads.box_coder.weights, assigned).sum()
     if looks_again:
-        error = error + _second_look(heads, features, boxes, offsets.detach(), truth, labels, somebody, sizes)
+        error = error + _second_look(heads, features, boxes, offsets.detach(), truth, labels, assigned, sizes)
     number = drawn.sum()
     return {
         "loss_classifier": wrong.where(drawn, 0.0).sum() / number,
@@ -237,7 +237,7 @@ def _second_look(
     offsets: Tensor,
     truth: Tensor,
     labels: Tensor,
-    somebody: Tensor,
+    assigned: Tensor,
     sizes: list[HeightWidth],
 ) -> Tensor:
     """Sum the errors of the offsets in the second pass of the box head.
@@ -249,17 +249,17 @@ def _second_look(
         offsets: (B, S, 4) offsets of the first pass.
         truth: (B, S, 4) assigned ground-truth boxes.
         labels: (B, S) labels of these boxes.
-        somebody: (B, S) bool, whether a region is assigned and sampled.
+        assigned: (B, S) bool, whether a region is assigned and sampled.
         sizes: Sizes of the images inside the network.
     """
-    found = _clipped(_moved(boxes, offsets, heads.box_coder), sizes)[somebody]
+    found = _clipped(_moved(boxes, offsets, heads.box_coder), sizes)[assigned]
     found = torch.cat([found[:, :2], torch.maximum(found[:, 2:], found[:, :2] + _LEAST_SIDE_PX)], dim=1)
-    counts = somebody.sum(dim=1).tolist()
+    counts = assigned.sum(dim=1).tolist()
     pooled = heads.box_roi_pool(features, list(torch.split(found, counts)), sizes)
     _, deltas = heads.box_predictor(heads.box_head(pooled))
-    own = offsets_of_label(deltas.float(), labels[somebody])
+    own = offsets_of_label(deltas.float(), labels[assigned])
     everyone = torch.ones(own.shape[:1], dtype=torch.bool, device=own.device)[None]
-    return _box_error(own[None], truth[somebody][None], found[None], heads.box_coder.weights, everyone).sum()
+    return _box_error(own[None], truth[assigned][None], found[None], heads.box_coder.weights, everyone).sum()
 
 
 def _regions(

@@ -25,7 +25,7 @@ from skope.types import Pixels
 
 @dataclass(frozen=True)
 class MonitorLimits:
-    """What a run reports while it trains."""
+    """Settings of the progress reports of a run."""
 
     measured_steps: int = 2
     """Number of timed steps that the remaining time of the run is estimated from."""

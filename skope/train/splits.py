@@ -119,8 +119,8 @@ def common_categories(sources: Sequence[TrainingSource], asked: Sequence[str] | 
             if missing:
                 labelled = f"{source.dataset.root} labels {', '.join(source.categories)}"
                 raise UserError(
-                    f"--categories {','.join(categories)}: {labelled}: whom it shows of {', '.join(missing)} would be "
-                    "learnt as background"
+                    f"--categories {','.join(categories)}: {labelled}: unlabelled {', '.join(missing)} would "
+                    "be trained as background"
                 )
         return categories
     for other in others:
@@ -128,8 +128,8 @@ def common_categories(sources: Sequence[TrainingSource], asked: Sequence[str] | 
             common = [name for name in first.categories if all(name in source.categories for source in sources)]
             raise UserError(
                 f"{other.dataset.root}: labels {', '.join(other.categories)}, {first.dataset.root} "
-                f"{', '.join(first.categories)}: whom one of them leaves unlabelled would be learnt as background; "
-                f"--categories {','.join(common)} learns what all of them label"
+                f"{', '.join(first.categories)}: unlabelled road users would be trained as background; "
+                f"--categories {','.join(common)} trains the common classes"
             )
     return first.categories
 

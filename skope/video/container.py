@@ -173,7 +173,7 @@ def open_clip(address: str, fps: float | None = None) -> VideoInfo:
         rate = _stated_rate(stream)
         if "://" in address:
             if fps is not None:
-                raise UserError(f"--fps: {shown_address(address)} is on a server, whose frames have their own times")
+                raise UserError(f"--fps: {shown_address(address)} is on a server; its frames have their own times")
             count = stream.frames or (round(container.duration / 1e6 * rate) if container.duration else 0)
             scheme = address.partition("://")[0]
             live = scheme not in ("http", "https") or not count

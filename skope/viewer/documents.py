@@ -206,7 +206,7 @@ class _SplitDocuments:
         }
 
     def _found(self, index: int) -> dict[int, dict[str, Any]]:
-        """Of an image's ground truth, by id: the step of the score that it was found with, and its wrong keypoints."""
+        """Return the ground truth of an image by id: score step of its detection, and wrong keypoints."""
         out = {}
         for g in _of_image(self._matches.gt_image, index):
             d = int(self._outcomes.detection[g])
@@ -239,7 +239,7 @@ class _SplitDocuments:
         }
 
     def scores(self, step: int) -> dict[str, list[Any]]:
-        """Of each image: the detections above a threshold; how many are false; the kinds of vehicles missed; quality.
+        """Return per image: detections above a threshold, false positives, missed vehicles by kind, quality.
 
         Quality is None where nothing is labelled. Without ground truth there are detections only.
         """

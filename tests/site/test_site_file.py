@@ -332,10 +332,10 @@ def test_rows_are_known_by_their_names(site: Path) -> None:
 def test_what_somebody_else_has_saved_is_not_lost(site: Path) -> None:
     revision = read_site(site).revision
     site.write_text(WHOLE + "# mine\n")
-    with pytest.raises(UserError, match="changed by somebody else"):
+    with pytest.raises(UserError, match="has been changed since it was read"):
         save_site(site, {"time_zone": "Europe/Paris"}, revision)
     assert site.read_text() == WHOLE + "# mine\n"
-    with pytest.raises(UserError, match="is there already"):
+    with pytest.raises(UserError, match="exists already"):
         save_site(site, {"time_zone": "Europe/Paris"}, None)
 
 

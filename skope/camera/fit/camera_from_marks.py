@@ -66,7 +66,7 @@ def camera_from_marks(path: Path, size: str | None, out: Path) -> Iterator[str]:
     points = _points(marked.evidence, found, left_out)
     rms = math.sqrt(np.mean([row["off_px"] ** 2 for row in points if not row["outlier"]])) if points else None
     counts = {"points": len(points)} if points else {}
-    besides = {
+    extra_fields = {
         "covariance": found.covariance_dict(),
         "calibrated": {"when": marked.when.isoformat(), "from": _from(path, marked.evidence)},
         **({"world": dict(marked.world)} if marked.world else {}),
@@ -79,7 +79,7 @@ def camera_from_marks(path: Path, size: str | None, out: Path) -> Iterator[str]:
         ],
         **({"marked_points": points} if points else {}),
     }
-    yield from write_camera(out, found.camera, besides)
+    yield from write_camera(out, found.camera, extra_fields)
     if rms is not None:
         yield f"{counted(len(points), 'point')} {rms:.2f} px off (root mean square)"
     yield from _figures(found)

@@ -110,7 +110,7 @@ def refit(
     source = points or camera
     assert source is not None
     told = f"{source.name}, turned as {Path(_split(after)[0]).name} shows"
-    besides = {
+    extra_fields = {
         "covariance": found.covariance_dict(),
         "calibrated": {"when": _saved(after), "from": told},
         "refit": {
@@ -120,7 +120,7 @@ def refit(
             "off_px": registered.off_px,
         },
     }
-    yield from write_camera(out, found.camera, besides)
+    yield from write_camera(out, found.camera, extra_fields)
     yield (
         f"the image has moved by {math.hypot(registered.motion.x, registered.motion.y):.1f} px and turned by "
         f"{math.degrees(registered.motion.turn):.2f} deg: {counted(registered.corners, 'corner')} "

@@ -200,13 +200,13 @@ def from_vehicles(
         "height": fit.sigma_height,
         "distance": ways,
     }
-    besides = {
+    extra_fields = {
         "vehicles": fit.vehicles,
         "sigma": sigma,
         "covariance": {"of": list(UNKNOWN_NAMES), "matrix": fit.covariance.tolist()},
         "calibrated": {"from": told, **_part_of(scene)},
     }
-    yield from write_camera(out, fit.camera, besides)
+    yield from write_camera(out, fit.camera, extra_fields)
     yield told if numbered else f"{told}; the file has no track numbers, so each view counts as one vehicle"
     yield from camera_figures(
         focal=(fit.camera.K[0, 0], fit.sigma_focal),
@@ -288,17 +288,17 @@ def doubt(name: Path | str, distance_sigma: float) -> str:
     )
 
 
-def write_camera(out: Path, camera: Camera, besides: Mapping[str, Any]) -> Iterator[str]:
+def write_camera(out: Path, camera: Camera, extra_fields: Mapping[str, Any]) -> Iterator[str]:
     """Write a camera file, unless an identical one exists; yield a line on it.
 
     Args:
         out: The .json file.
         camera: The camera.
-        besides: Additional fields of the file, as JSON values.
+        extra_fields: Additional fields of the file, as JSON values.
 
     Raises:
         UserError: The file cannot be written, or exists with other content.
     """
-    document = {"width": camera.width, "height": camera.height, **camera.to_dict(), **besides}
+    document = {"width": camera.width, "height": camera.height, **camera.to_dict(), **extra_fields}
     write_new(out, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
     yield f"wrote {out}"

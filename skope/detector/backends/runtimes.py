@@ -97,7 +97,7 @@ def _openvino_core(library: ModuleType) -> Any:
     """Return the core of this process, which is kept until the process exits.
 
     Each core of OpenVINO installs an alternative signal stack and puts the previous one back when it is deleted. Two
-    cores that are deleted in another order leave a stack whose memory is gone, and the next signal, Ctrl-C for example,
+    cores that are deleted in another order leave a stack without memory, and the next signal, Ctrl-C for example,
     crashes the process (seen with 2026.4).
     """
     return library.Core()

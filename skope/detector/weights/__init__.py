@@ -9,7 +9,7 @@ DEFAULT_WEIGHTS: Final = "road33"
 LIGHT_WEIGHTS: Final = "road33-lite"
 """Name of the light detector, for every frame of a live camera on a CPU."""
 BY_ACCURACY: Final = (DEFAULT_WEIGHTS, LIGHT_WEIGHTS)
-"""The detectors that come with the package, the most accurate first: alike in keypoints and categories."""
+"""Shipped detectors, the most accurate first. They have the same keypoints and categories."""
 
 WEIGHTS_FOLDER: Final = Path(__file__).parent
 

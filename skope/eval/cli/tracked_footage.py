@@ -161,16 +161,16 @@ def tracked_footage(
 
     assert site.camera is not None
     known = site.camera.known
-    besides = {"covariance": known.covariance_dict()} if known else {}
-    # The site file may name the camera's: what that holds is part of what the work is.
-    camera = {**site.camera.camera.to_dict(), **besides}
+    covariance = {"covariance": known.covariance_dict()} if known else {}
+    # The site file may name a camera file; its content is part of what identifies the run.
+    camera = {**site.camera.camera.to_dict(), **covariance}
     named = {"source": content_of(footage), "checkpoint": str(checkpoint), "camera": camera}
     claim_output(out, command, [site.path], {**options, **named})
     tracks = out / TRACKS_NAME
     if (tracks / FOOTAGE_FILE).is_file() and not list(tracks.glob(".*")):
         console.say(f"{tracks}: has the tracks of {footage.name}")
         return tracks
-    for line in write_camera(out / _CAMERA_NAME, site.camera.camera, besides):
+    for line in write_camera(out / _CAMERA_NAME, site.camera.camera, covariance):
         console.say(line)
     job = PredictJob(
         footage=footage,

@@ -53,11 +53,11 @@ def card_summary(card: Card) -> str:
     size, sites = card.get("parameters", {}).get("size"), len(counts.get("by_site", {}))
     ignored = sum(counts.get("ignored", {}).values())
     others = [f", {row['ground_truth']} {name}s" for name, row in _by_category(card).items()]
-    besides = f", and {ignored} more that are marked as ignored" if ignored else ""
+    ignored_text = f", and {ignored} more that are marked as ignored" if ignored else ""
     return (
         f"{counts['images']} images{f' of {size} pixels' if size else ''}"
         f"{f' from {sites} camera site' + ('s' if sites > 1 else '') if sites else ''} with "
-        f"{counts['ground_truth']} vehicles of 33 keypoints each{_scheme(card)}{''.join(others)}{besides}."
+        f"{counts['ground_truth']} vehicles of 33 keypoints each{_scheme(card)}{''.join(others)}{ignored_text}."
     )
 
 

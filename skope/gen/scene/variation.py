@@ -49,4 +49,4 @@ class Variation:
 
     If True, there are also more of them, in a greater variety."""
     randomised: float = 0.0
-    """Fraction of the simulated traffics whose ground and walls have random colours and patterns, 0 to 1."""
+    """Fraction of the simulated traffics with random colours and patterns on ground and walls, 0 to 1."""
