@@ -4,7 +4,7 @@ import ast
 import io
 import re
 import tokenize
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -35,11 +35,14 @@ MAX_MEAN_WORDS: Final = 18.0
 """Maximum mean length of the sentences of a guide, words."""
 
 
-def texts(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield line numbers and texts of comments and strings, without the code in f-strings."""
-    for token in tokenize.generate_tokens(io.StringIO(path.read_text(encoding="utf-8")).readline):
-        if token.type in (tokenize.COMMENT, tokenize.STRING):
-            yield token.start[0], re.sub(r"\{[^{}]*\}", "", token.string)
+@cache
+def texts(path: Path) -> list[tuple[int, str]]:
+    """Return line numbers and texts of comments and strings, without the code in f-strings."""
+    return [
+        (token.start[0], re.sub(r"\{[^{}]*\}", "", token.string))
+        for token in tokenize.generate_tokens(io.StringIO(path.read_text(encoding="utf-8")).readline)
+        if token.type in (tokenize.COMMENT, tokenize.STRING)
+    ]
 
 
 def prose(page: str) -> str:
