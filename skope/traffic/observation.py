@@ -88,7 +88,7 @@ class Observation:
         steps = np.diff(self.times_s)
         usual = _usual_step(self.times_s)
         moved = np.diff(np.searchsorted(self.moved_s, self.times_s)) > 0
-        cuts = np.flatnonzero((steps > max(OBSERVATION_LIMITS.gap_s, OBSERVATION_LIMITS.gap_steps * usual)) | moved)
+        cuts = np.flatnonzero((steps > longest_step_s(usual)) | moved)
         starts = self.times_s[np.concatenate([[0], cuts + 1]).astype(int)]
         ends = self.times_s[np.concatenate([cuts, [len(self.times_s) - 1]]).astype(int)]
         return np.stack([starts, ends + usual], axis=1)
@@ -188,10 +188,15 @@ class Observation:
         return {"from_s": round(from_s, 4), **_camera_dict(camera, None)}
 
 
+def longest_step_s(usual_s: float) -> float:
+    """Return the time between two frames above which there is a gap, seconds, for a usual frame interval."""
+    return max(OBSERVATION_LIMITS.gap_s, OBSERVATION_LIMITS.gap_steps * usual_s)
+
+
 def frame_durations_s(times_s: Array, begin_s: float, end_s: float, further_s: Sequence[float] | Array = ()) -> Array:
     """Return the time in an interval that each frame covers, seconds.
 
-    A frame lasts until the next frame, and for at most `OBSERVATION_LIMITS.gap_steps` usual frame intervals.
+    A frame lasts until the next frame. Before a gap (see `Observation.spans`) it lasts one usual frame interval.
 
     Args:
         times_s: (N,) times of the frames, seconds, increasing.
@@ -208,10 +213,8 @@ def frame_durations_s(times_s: Array, begin_s: float, end_s: float, further_s: S
 
 def _ends(times_s: Array) -> Array:
     """Return the (N,) end times of the frames of one recording, seconds."""
-    usual = _usual_step(times_s)
-    return np.asarray(
-        times_s + np.append(np.minimum(np.diff(times_s), OBSERVATION_LIMITS.gap_steps * usual), usual)[: len(times_s)]
-    )
+    usual, steps = _usual_step(times_s), np.diff(times_s)
+    return np.asarray(times_s + np.append(np.where(steps > longest_step_s(usual), usual, steps), usual)[: len(times_s)])
 
 
 def _usual_step(times_s: Array) -> float:

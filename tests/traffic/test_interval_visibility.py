@@ -56,9 +56,18 @@ def test_what_was_not_measured_is_not_said_to_be_good() -> None:
     assert interval_visibility(Observation(times_s=np.zeros(0)), 0.0, 60.0).moved_s == 0
 
 
+@pytest.mark.parametrize("pause_s", [0.04, 0.6, 0.99, 1.2, 5.0])
+def test_durations_of_frames_and_observed_periods_agree(pause_s: float) -> None:
+    """At 25 frames per second a pause of 0.6 s is no gap, for the observed time and for the sum of durations."""
+    times = np.concatenate([np.arange(50) / 25, 49 / 25 + pause_s + np.arange(50) / 25])
+    observed_s = Observation(times_s=times).seconds_in(0.0, 60.0)
+    assert frame_durations_s(times, 0.0, 60.0).sum() == pytest.approx(observed_s)
+    assert observed_s == pytest.approx(99 / 25 + (pause_s if pause_s < 1 else 1 / 25))
+
+
 def test_a_frame_stands_until_the_next_one_but_for_gaps() -> None:
     times = np.array([0.0, 1.0, 2.0, 50.0, 51.0])
-    assert frame_durations_s(times, 0.0, 60.0).tolist() == [1.0, 1.0, 3.0, 1.0, 1.0]
+    assert frame_durations_s(times, 0.0, 60.0).tolist() == [1.0, 1.0, 1.0, 1.0, 1.0]
     assert frame_durations_s(times, 0.5, 2.5).tolist() == [0.5, 1.0, 0.5, 0.0, 0.0]
     assert frame_durations_s(np.array([3.0]), 0.0, 9.0).tolist() == [0.0]
     assert frame_durations_s(np.zeros(0), 0.0, 9.0).tolist() == []

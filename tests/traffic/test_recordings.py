@@ -321,7 +321,7 @@ def test_a_count_by_hand_may_go_over_a_seam_but_not_over_a_gap(skope: Skope) -> 
 def test_a_picture_does_not_stand_until_the_next_recording() -> None:
     times = np.array([0.0, 1.0, 2.0, 2.5, 100.0, 101.0])
     assert frame_durations_s(times, 0.0, 200.0, [100.0]).tolist() == [1.0, 1.0, 0.5, 1.0, 1.0, 1.0]
-    assert frame_durations_s(times, 0.0, 200.0)[3] == 3.0
+    assert frame_durations_s(times, 0.0, 200.0)[3] == 1.0
 
 
 def test_tracks_know_when_their_footage_began(skope: Skope) -> None:
