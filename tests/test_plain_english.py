@@ -17,6 +17,7 @@ GUIDES: Final = (
     "docs/python.md",
     "docs/files.md",
     "docs/site-on-the-screen.md",
+    "docs/own-road.md",
 )
 """Pages that are checked. The others follow."""
 
