@@ -18,6 +18,7 @@ GUIDES: Final = (
     "docs/files.md",
     "docs/site-on-the-screen.md",
     "docs/own-road.md",
+    "docs/privacy.md",
 )
 """Pages that are checked. The others follow."""
 
