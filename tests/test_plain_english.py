@@ -19,6 +19,7 @@ GUIDES: Final = (
     "docs/site-on-the-screen.md",
     "docs/own-road.md",
     "docs/privacy.md",
+    "docs/installing.md",
 )
 """Pages that are checked. The others follow."""
 
