@@ -20,6 +20,7 @@ GUIDES: Final = (
     "docs/own-road.md",
     "docs/privacy.md",
     "docs/installing.md",
+    "docs/generating.md",
 )
 """Pages that are checked. The others follow."""
 
