@@ -12,7 +12,16 @@ import pytest
 
 ROOT: Final = Path(__file__).parent.parent
 MODULES: Final = sorted((ROOT / "skope").rglob("*.py"))
-GUIDES: Final = ("README.md", "docs/python.md", "docs/files.md")
+GUIDES: Final = (
+    "README.md",
+    "docs/python.md",
+    "docs/files.md",
+    "docs/site-on-the-screen.md",
+    "docs/own-road.md",
+    "docs/privacy.md",
+    "docs/installing.md",
+    "docs/generating.md",
+)
 """Pages that are checked. The others follow."""
 
 BANNED: Final = {
