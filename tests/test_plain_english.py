@@ -12,7 +12,14 @@ import pytest
 
 ROOT: Final = Path(__file__).parent.parent
 MODULES: Final = sorted((ROOT / "skope").rglob("*.py"))
-GUIDES: Final = ("README.md", "docs/python.md", "docs/files.md", "docs/training.md", "docs/exporting.md")
+GUIDES: Final = (
+    "README.md",
+    "docs/python.md",
+    "docs/files.md",
+    "docs/training.md",
+    "docs/exporting.md",
+    "docs/evaluation.md",
+)
 """Pages that are checked. The others follow."""
 
 BANNED: Final = {
