@@ -19,6 +19,7 @@ GUIDES: Final = (
     "docs/training.md",
     "docs/exporting.md",
     "docs/evaluation.md",
+    "docs/vehicles.md",
 )
 """Pages that are checked. The others follow."""
 
