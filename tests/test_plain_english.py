@@ -20,6 +20,7 @@ GUIDES: Final = (
     "docs/exporting.md",
     "docs/evaluation.md",
     "docs/vehicles.md",
+    "docs/scale.md",
 )
 """Pages that are checked. The others follow."""
 
