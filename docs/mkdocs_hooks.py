@@ -3,6 +3,7 @@
 mkdocs calls the functions by their names. Links that leave docs/ become plain text, as what they name is not published.
 """
 
+import posixpath
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -38,7 +39,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     def kept(link: re.Match[str]) -> str:
         words, target = link.groups()
         name = target.partition("#")[0]
-        published = not name or "://" in name or files.get_file_from_path(name) is not None
+        path = posixpath.normpath(posixpath.join(posixpath.dirname(page.file.src_uri), name))
+        published = not name or "://" in name or files.get_file_from_path(path) is not None
         return link.group() if published else words
 
     return _LINK.sub(kept, markdown)

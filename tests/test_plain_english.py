@@ -21,6 +21,11 @@ GUIDES: Final = (
     "docs/privacy.md",
     "docs/installing.md",
     "docs/generating.md",
+    "docs/training.md",
+    "docs/exporting.md",
+    "docs/evaluation.md",
+    "docs/vehicles.md",
+    "docs/scale.md",
 )
 """Pages that are checked. The others follow."""
 

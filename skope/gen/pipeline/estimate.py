@@ -1,8 +1,8 @@
 """Estimate the images, disk space and time of a dataset before it is generated.
 
 Without a GPU, times are those of one core of a 2.1 GHz Xeon. With a GPU, they are those of a worker process with an
-NVIDIA H100 (docs/scale.md). Both assume that nothing else runs; other machines differ by the speed of their cores.
-Towns and vehicle models are assumed to be in the cache, lights are not.
+NVIDIA H100 (docs/evidence/scale.md). Both assume that nothing else runs; other machines differ by the speed of their
+cores. Towns and vehicle models are assumed to be in the cache, lights are not.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""What is said of images, disk and time before a dataset is made; how right it is, is measured in docs/scale.md."""
+"""Estimates of images, disk space and time. Their accuracy is measured in docs/evidence/scale.md."""
 
 from pathlib import Path
 from typing import Any

@@ -105,7 +105,7 @@ def test_vehicles_are_as_large_as_is_asked_for() -> None:
 def test_where_no_camera_sees_road_one_line_says_so() -> None:
     blind = {"fov_deg": (5.0, 5.0), "height_m": (2.0, 2.0), "pitch_deg": (84.0, 84.0)}
     town = Town("town01")
-    with pytest.raises(UserError, match="none sees 8 m of road"):
+    with pytest.raises(UserError, match="cameras sees 8 m of road"):
         ViewSampler(town).draw(queue(town, 0), CameraRanges(SIZE, 80.0, None, blind), np.random.default_rng(0))
 
 
