@@ -121,7 +121,7 @@ def test_datasets_of_different_categories_are_refused_unless_it_is_said_what_to_
     one = source(samples.make_dataset(tmp_path / "one", images=1))
     assert splits.common_categories([many, many], None) == schema.CATEGORY_NAMES
     assert splits.common_categories([one], None) == ("vehicle",)
-    with pytest.raises(UserError, match=r"one: labels vehicle, .*many vehicle, bicycle.*--categories vehicle learns"):
+    with pytest.raises(UserError, match=r"one: labels vehicle, .*many vehicle, bicycle.*--categories vehicle trains"):
         splits.common_categories([many, one], None)
     assert splits.common_categories([many, one], ("vehicle",)) == ("vehicle",)
     assert splits.common_categories([many], ("pedestrian", "vehicle")) == ("vehicle", "pedestrian")
