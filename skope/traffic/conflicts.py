@@ -242,7 +242,7 @@ def conflicts(
     Returns:
         The conflicts in order of time, and the numbers of excluded pairs.
     """
-    followed = [first for first in trajectories if is_in_traffic(first) and has_plausible_speed(first)]
+    followed = [track for track in trajectories if is_in_traffic(track) and has_plausible_speed(track)]
     made = footprint_paths(followed, CONFLICT_DOUBT.step_s)
     found, overlapping, poorly_tracked_pairs = [], 0, 0
     for first, second in _pairs(made, settings.pet_s):
@@ -267,10 +267,10 @@ def _pairs(made: Sequence[FootprintPath], late_s: float) -> Iterator[tuple[Footp
     ordered = sorted(made, key=lambda path: int(path.ticks[0]))
     present: list[FootprintPath] = []
     for path in ordered:
-        present = [second for second in present if second.times_s[-1] + late_s >= path.times_s[0]]
-        for second in present:
-            if not path.trajectory.category == second.trajectory.category == PEDESTRIAN_CATEGORY:
-                yield second, path
+        present = [earlier for earlier in present if earlier.times_s[-1] + late_s >= path.times_s[0]]
+        for earlier in present:
+            if not path.trajectory.category == earlier.trajectory.category == PEDESTRIAN_CATEGORY:
+                yield earlier, path
         present.append(path)
 
 
