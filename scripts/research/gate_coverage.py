@@ -185,8 +185,8 @@ def rows_of(folder: Path, *, true_keypoints: bool) -> Iterator[Row]:
                     "minutes": report.observation.observed_s / 60,
                     "truth": true,
                     "count": sum(one.counts for _, one in own),
-                    "low": total.expected.low if total.expected else None,
-                    "high": total.expected.high if total.expected else None,
+                    "low": total.confidence_interval.low if total.confidence_interval else None,
+                    "high": total.confidence_interval.high if total.confidence_interval else None,
                     "lost": lost,
                     "crossings": [
                         {

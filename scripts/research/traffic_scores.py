@@ -515,7 +515,7 @@ def expected_of(clip: ScoredClip, side: Mapping[str, Any], chosen: Sequence[bool
     }
     total = totals[ALL_CLASSES if len(chosen) > 1 or not chosen[0] else VEHICLE_CATEGORY]
     if len(chosen) > 1 or chosen[0]:
-        return total.expected
+        return total.confidence_interval
     there = [
         one
         for one in (*told.crossings, *told.unseen.doubtful)
@@ -546,7 +546,7 @@ def turning_rows(clip: ScoredClip) -> list[Row]:
     rows = []
     for pair in sorted({*real, *told}):
         true, said = (side[pair].count or 0 if pair in side else 0 for side in (real, told))
-        expected = told[pair].expected if pair in told else None
+        expected = told[pair].confidence_interval if pair in told else None
         rows.append(
             {
                 "from": list(pair[0]),

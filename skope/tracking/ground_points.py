@@ -49,7 +49,7 @@ class GroundPoint:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Sight:
+class GroundDetection:
     """Pedestrian or two-wheeler in one image."""
 
     category_id: int
@@ -66,7 +66,7 @@ class Sight:
     """Position on the ground; None if the box is cut, followed from other frames, or too far away."""
 
 
-def sights_of(scene: Scene, *, score: float, sigma_px: float | None) -> list[list[Sight]]:
+def ground_detections(scene: Scene, *, score: float, sigma_px: float | None) -> list[list[GroundDetection]]:
     """Return the detected or labelled road users of each image; boxes of one road user are merged.
 
     Without a road they have no positions.
@@ -94,7 +94,7 @@ def _chosen(scene: Scene, score: float) -> Iterable[RoadUser | RoadUserResult]:
 
 def _in_image(
     scene: Scene, image: Image, found: Sequence[RoadUser | RoadUserResult], sigma_px: float | None
-) -> list[Sight]:
+) -> list[GroundDetection]:
     boxes = np.array([one.bbox for one in found]).reshape(-1, 4)
     stand = feet(boxes)
     spread = np.full((len(found), 2), sigma_px) if sigma_px is not None else np.array([_spread(one) for one in found])
@@ -108,7 +108,7 @@ def _in_image(
         one, point = found[group[0]], points[group[0]]
         shown = point if stand[group[0], 1] < image.height - FOOT_ERRORS.edge_px else None
         if isinstance(one, RoadUser):  # as with vehicles, labels carry no identity from frame to frame
-            out.append(Sight(one.category_id, one.bbox, 1.0, (), {one.category_id: 1.0}, shown))
+            out.append(GroundDetection(one.category_id, one.bbox, 1.0, (), {one.category_id: 1.0}, shown))
         else:
             same = [two for two in (found[i] for i in group) if isinstance(two, RoadUserResult)]
             links = tuple((two.category_id, two.track_id) for two in same if two.track_id is not None)
@@ -116,7 +116,7 @@ def _in_image(
             for two in same:
                 scores[two.category_id] += two.score
             measured = None if one.interpolated else shown
-            out.append(Sight(one.category_id, one.bbox, one.score, links, scores, measured))
+            out.append(GroundDetection(one.category_id, one.bbox, one.score, links, scores, measured))
     return out
 
 

@@ -92,7 +92,7 @@ def read_image_trajectories(folder: Path, gates: Sequence[Gate] = ()) -> tuple[l
     observation = Observation(
         times_s=np.array(sorted(time_s for number, time_s in timed.items() if shown[number] in observed)),
         source=source,
-        moved_s=np.array(sorted(time_s for number, time_s in timed.items() if shown[number] not in observed)),
+        camera_moved_s=np.array(sorted(time_s for number, time_s in timed.items() if shown[number] not in observed)),
         visibility_samples=checked_visibility(
             file.info.get(VISIBILITY_KEY, []), f"{folder / FRAMES_FILE}: info.{VISIBILITY_KEY}"
         ),

@@ -16,7 +16,7 @@ import numpy as np
 from skope.schema import CATEGORY_NAMES, PEDESTRIAN_CATEGORY
 from skope.tracking import kalman
 from skope.tracking.box_links import cheapest_pairs
-from skope.tracking.ground_points import GroundPoint, Sight
+from skope.tracking.ground_points import GroundDetection, GroundPoint
 from skope.tracking.headings import with_body_error
 from skope.tracking.kalman import KALMAN_SETTINGS, State
 from skope.tracking.track_flags import box_never_moved
@@ -100,7 +100,7 @@ class _Step:
     transition: Array
     predicted: State
     filtered: State
-    sight: Sight | None = None
+    detection: GroundDetection | None = None
 
 
 @dataclass(eq=False)
@@ -120,13 +120,13 @@ class _Open:
     def state(self) -> State:
         return self.steps[-1].filtered
 
-    def take(self, sight: Sight) -> None:
+    def take(self, detection: GroundDetection) -> None:
         """Update the state with the detection in the latest frame."""
         step = self.steps[-1]
-        step.sight = sight
-        self.scores.update(sight.scores)
-        if sight.point is not None:
-            step.filtered = kalman.updated_at(step.filtered, sight.point.place, sight.point.covariance)
+        step.detection = detection
+        self.scores.update(detection.scores)
+        if detection.point is not None:
+            step.filtered = kalman.updated_at(step.filtered, detection.point.place, detection.point.covariance)
             self.last_s = step.time_s
 
     @property
@@ -151,8 +151,8 @@ class _Open:
         covariances, speeds = kalman.position_and_speed_errors(means[:count], spreads[:count])
         variances = covariances.reshape(-1, 4)[:, [0, 1, 3]].tolist()
         for step, mean, spread, speed in zip(steps[:count], means, variances, speeds.tolist(), strict=False):
-            height = np.nan if step.sight is None or step.sight.point is None else step.sight.point.height
-            seen = [np.nan] * 5 if step.sight is None else [*step.sight.bbox, step.sight.score]
+            height = np.nan if step.detection is None or step.detection.point is None else step.detection.point.height
+            seen = [np.nan] * 5 if step.detection is None else [*step.detection.bbox, step.detection.score]
             self.rows.append((step.frame, step.time_s, *mean[:4], *spread, speed, height, *seen))
         del steps[:count]
 
@@ -188,7 +188,7 @@ class _Open:
 
 
 def follow_road_users(
-    images: Iterable[Sequence[Sight]], times_s: Sequence[float], first_number: int = 1
+    images: Iterable[Sequence[GroundDetection]], times_s: Sequence[float], first_number: int = 1
 ) -> list[Track]:
     """Track pedestrians and two-wheelers through consecutive images of one camera.
 
@@ -201,21 +201,21 @@ def follow_road_users(
     ended: list[_Open] = []
     owners: dict[Link, _Open] = {}
     before = times_s[0] if times_s else 0.0
-    for frame, (sights, time_s) in enumerate(zip(images, times_s, strict=True)):
+    for frame, (detections, time_s) in enumerate(zip(images, times_s, strict=True)):
         F, Q = kalman.motion(time_s - before)
         ended += [track for track in live if time_s - track.last_s > FOOT_TRACKS.lost_s]
         live = [track for track in live if time_s - track.last_s <= FOOT_TRACKS.lost_s]
         for track in live:
             ahead = kalman.predicted_state(track.state, F, Q)
             track.steps.append(_Step(frame, time_s, F, ahead, ahead))
-        for known, sight in _pairs(live, sights, owners):
+        for known, detection in _pairs(live, detections, owners):
             if known is not None:
-                known.take(sight)
-            elif sight.point is not None:
-                known = _begun(frame, time_s, sight, sight.point)
+                known.take(detection)
+            elif detection.point is not None:
+                known = _begun(frame, time_s, detection, detection.point)
                 live.append(known)
             if known is not None:
-                _own(owners, known, sight.links, live)
+                _own(owners, known, detection.links, live)
         for track in live:
             if time_s - track.steps[0].time_s > 2 * FOOT_TRACKS.lag_s:
                 track.settle(time_s - FOOT_TRACKS.lag_s)
@@ -232,41 +232,45 @@ def _own(owners: dict[Link, _Open], track: _Open, links: Sequence[Link], live: S
             owners[link] = track
 
 
-def _begun(frame: int, time_s: float, sight: Sight, point: GroundPoint) -> _Open:
-    speed = FIRST_SPEED_SIGMAS[CATEGORY_NAMES[sight.category_id - 1]]
+def _begun(frame: int, time_s: float, detection: GroundDetection, point: GroundPoint) -> _Open:
+    speed = FIRST_SPEED_SIGMAS[CATEGORY_NAMES[detection.category_id - 1]]
     state = kalman.first_state_at(point.place, point.covariance, speed)
-    begun = _Open([_Step(frame, time_s, np.eye(6), state, state, sight)], time_s)
-    begun.scores.update(sight.scores)
+    begun = _Open([_Step(frame, time_s, np.eye(6), state, state, detection)], time_s)
+    begun.scores.update(detection.scores)
     return begun
 
 
 def _pairs(
-    live: Sequence[_Open], sights: Sequence[Sight], owners: Mapping[Link, _Open]
-) -> list[tuple[_Open | None, Sight]]:
+    live: Sequence[_Open], detections: Sequence[GroundDetection], owners: Mapping[Link, _Open]
+) -> list[tuple[_Open | None, GroundDetection]]:
     """Return each detection with its track; None if it has none. `owners` are the tracks of known numbers."""
-    of_sight: dict[int, _Open] = {}
-    for i, sight in enumerate(sights):
-        known = [owners[link] for link in sight.links if link in owners]
+    of_detection: dict[int, _Open] = {}
+    for i, detection in enumerate(detections):
+        known = [owners[link] for link in detection.links if link in owners]
         # Of two detections with one number only the first gets the track.
-        of_sight.update(
+        of_detection.update(
             (i, track)
             for track in known[:1]
-            if track in live and track not in of_sight.values() and _may_be(track, sight)
+            if track in live and track not in of_detection.values() and _may_be(track, detection)
         )
-    taken = {id(track) for track in of_sight.values()}
+    taken = {id(track) for track in of_detection.values()}
     free = [track for track in live if id(track) not in taken]
-    rest = [(i, sight) for i, sight in enumerate(sights) if i not in of_sight and sight.point is not None]
-    points = [(sight.category_id, sight.point) for _, sight in rest if sight.point is not None]
+    rest = [
+        (i, detection)
+        for i, detection in enumerate(detections)
+        if i not in of_detection and detection.point is not None
+    ]
+    points = [(detection.category_id, detection.point) for _, detection in rest if detection.point is not None]
     for row, column in cheapest_pairs(_distances(free, points), KALMAN_SETTINGS.gate_variances):
-        of_sight[rest[column][0]] = free[row]
-    return [(of_sight.get(i), sight) for i, sight in enumerate(sights)]
+        of_detection[rest[column][0]] = free[row]
+    return [(of_detection.get(i), detection) for i, detection in enumerate(detections)]
 
 
-def _may_be(track: _Open, sight: Sight) -> bool:
+def _may_be(track: _Open, detection: GroundDetection) -> bool:
     """Return whether a detection with the track's number may be the same road user: its position must not jump."""
-    if sight.point is None:
+    if detection.point is None:
         return True
-    return float(_distances([track], [(track.category_id, sight.point)])[0, 0]) < FOOT_TRACKS.link_variances
+    return float(_distances([track], [(track.category_id, detection.point)])[0, 0]) < FOOT_TRACKS.link_variances
 
 
 def _distances(tracks: Sequence[_Open], points: Sequence[tuple[int, GroundPoint]]) -> Array:

@@ -22,7 +22,7 @@ from skope.pose.pose_records import locate_view
 from skope.schema import CATEGORY_NAMES, VEHICLE_CATEGORY, Labelled
 from skope.terminal.console import Console, counted
 from skope.tracking import birdseye, birdseye_video, camera_picture
-from skope.tracking.ground_points import sights_of
+from skope.tracking.ground_points import ground_detections
 from skope.tracking.ground_view import empty_road
 from skope.tracking.headings import with_body_error
 from skope.tracking.pedestrian_and_cycle_tracks import follow_road_users, of_body
@@ -186,7 +186,7 @@ def observation_of(scene: Scene, times: Sequence[float], start_time: datetime | 
         camera=camera,
         uncertainty=known,
         ground=scene.ground,
-        moved_s=seconds[moved],
+        camera_moved_s=seconds[moved],
         turned=tuple(turned.values()),
         visibility_samples=checked_visibility(
             scene.file.info.get(VISIBILITY_KEY, []), f"{scene.file.name}: info.{VISIBILITY_KEY}"
@@ -199,9 +199,9 @@ def _road_users(job: TrackJob, times: Sequence[float], first_number: int) -> lis
     """Return tracks of pedestrians and two-wheelers; none if the height of the road is unknown."""
     if job.scene.ground is None:
         return []
-    sights = sights_of(job.scene, score=job.score, sigma_px=job.sigma_px)
+    detections = ground_detections(job.scene, score=job.score, sigma_px=job.sigma_px)
     eye = job.scene.camera_of(job.scene.file.images[0]).position
-    return [of_body(track, eye) for track in follow_road_users(sights, times, first_number)]
+    return [of_body(track, eye) for track in follow_road_users(detections, times, first_number)]
 
 
 def _write_road_users(job: TrackJob, tracks: list[Track]) -> list[str]:

@@ -50,19 +50,19 @@ class CountInterval:
     high: int
 
 
-def in_words(expected: CountInterval | None) -> str:
+def in_words(interval: CountInterval | None) -> str:
     """Return the bounds as text."""
-    return "not known" if expected is None else f"{expected.low} to {expected.high}"
+    return "not known" if interval is None else f"{interval.low} to {interval.high}"
 
 
-def in_cells(expected: CountInterval | None) -> tuple[int | None, int | None]:
+def in_cells(interval: CountInterval | None) -> tuple[int | None, int | None]:
     """Return the table cells low and high; both None if there is no interval."""
-    return (None, None) if expected is None else (expected.low, expected.high)
+    return (None, None) if interval is None else (interval.low, interval.high)
 
 
-def in_json(expected: CountInterval | None) -> dict[str, int]:
+def in_json(interval: CountInterval | None) -> dict[str, int]:
     """Return the JSON entries low and high; empty if there is no interval."""
-    return {} if expected is None else {"low": expected.low, "high": expected.high}
+    return {} if interval is None else {"low": interval.low, "high": interval.high}
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,7 @@ class Count:
     """A class, `VEHICLE_CATEGORY` for vehicles with more than two wheels, or `ALL_CLASSES`."""
     count: int | None
     """Number of counted crossings; None if nothing was observed."""
-    expected: CountInterval | None
+    confidence_interval: CountInterval | None
     """90% interval of the true number in the observed time. None if nothing was observed, no road user was ever seen
     near the gate, more vehicles are lost at it than cross it, or for class `unknown`."""
     pce: float | None = None
@@ -164,7 +164,7 @@ def interval_counts(
                             lane=lane,
                             class_name=class_name,
                             count=_number(own, lane, classes_of(class_name, settings)) if observed_s > 0 else None,
-                            expected=told,
+                            confidence_interval=told,
                             pce=pce,
                         )
                     )
@@ -202,7 +202,7 @@ def _number(crossings: Sequence[GateCrossing], lane: str, classes: Collection[st
 
 def is_in_row(crossing: GateCrossing, lane: str, classes: Collection[str]) -> bool:
     """Return whether a crossing is counted in a row of a lane (or `ALL_CLASSES`) and classes."""
-    return crossing.counts and lane in (ALL_CLASSES, crossing.lane) and crossing.trajectory.class_name in classes
+    return crossing.is_counted and lane in (ALL_CLASSES, crossing.lane) and crossing.trajectory.class_name in classes
 
 
 def row_interval(
@@ -226,7 +226,7 @@ def row_interval(
         classes: The classes of the row.
 
     Returns:
-        The interval; None in the cases of `expected`.
+        The interval; None in the cases of `confidence_interval`.
     """
     most = partial(unseen.most, *side, interval)
     count = sum(is_in_row(one, lane, classes) for one in crossings)
@@ -240,12 +240,12 @@ def row_interval(
         - count
         for other in unseen.other_cameras.get(side[0], ())
     ]
-    found = [expected(crossings, kinds, most, lane, classes, shifts) for kinds in unseen.kind_sets(*side)]
+    found = [confidence_interval(crossings, kinds, most, lane, classes, shifts) for kinds in unseen.kind_sets(*side)]
     known = [one for one in found if one is not None]
     return hull(known) if len(known) == len(found) else None
 
 
-def expected(
+def confidence_interval(
     crossings: Sequence[GateCrossing],
     kinds: Sequence[MissRateGroup],
     most: Callable[[Collection[str]], int],
@@ -278,14 +278,14 @@ def distribution_of(
     classes: Collection[str],
     shifts: Sequence[int] = (),
 ) -> CountDistribution | None:
-    """Return the count of a row with its errors; arguments and None as in `expected`."""
+    """Return the count of a row with its errors; arguments and None as in `confidence_interval`."""
     errors, count = [], 0
     for kind in kinds:
         named = kind.classes - {UNKNOWN_CLASS}
         if not named & set(classes):
             continue
         own = [one for one in crossings if one.trajectory.class_name in kind.classes]
-        if kind.loses(sum(one.counts for one in own), most(kind.classes)):
+        if kind.loses(sum(one.is_counted for one in own), most(kind.classes)):
             return None
         whole = named <= set(classes)
         false, uncounted = [], []

@@ -87,12 +87,12 @@ class GateCrossing:
     """Probability that `lane` is right."""
     probability: float
     """Probability that the crossing happened within the gate and is counted once."""
-    doubt: str
+    uncertainty_flags: str
     """Flags, separated by spaces. "begins" or "ends": the track begins or ends on the gate. "beside": it is uncertain
     whether the road user passes the gate's end inside or outside. Empty: no doubt."""
-    counts: bool
+    is_counted: bool
     """Whether the crossing is counted. It must lie between the gate's ends and be real with a probability of at least
-    0.5. A track that ends on the gate can count, with a flag in `doubt`."""
+    0.5. A track that ends on the gate can be counted, with a flag in `uncertainty_flags`."""
 
     @cached_property
     def end_sigma_s(self) -> float:
@@ -321,8 +321,8 @@ def _crossing(
     return GateCrossing(
         trajectory=trajectory,
         gate=gate.name,
-        direction=0 if passage.came_from > 0 else 1,
-        direction_name=direction_names(gate)[0 if passage.came_from > 0 else 1],
+        direction=0 if passage.from_side > 0 else 1,
+        direction_name=direction_names(gate)[0 if passage.from_side > 0 else 1],
         time_s=time_s,
         sigma_s=math.hypot(sigma_m / across, passage.spread_s, _along_s(trajectory, velocity, metres=metres)),
         front_s=_end_time(trajectory, gate, trajectory.front, passage, rule),
@@ -333,8 +333,8 @@ def _crossing(
         lane=lane,
         lane_probability=lane_probability,
         probability=real * sure * between,
-        doubt=" ".join(word for word, holds in doubts.items() if holds),
-        counts=inside and real >= EVENT_FACTORS.counted_probability,
+        uncertainty_flags=" ".join(word for word, holds in doubts.items() if holds),
+        is_counted=inside and real >= EVENT_FACTORS.counted_probability,
     )
 
 
@@ -353,6 +353,6 @@ def _end_time(trajectory: Track, gate: Gate, places: Array, passage: LineCrossin
     times = [
         one.time_s
         for one in line_crossings(signed, trajectory.times_s, **rule, places=None)
-        if one.came_from == passage.came_from and not one.begins
+        if one.from_side == passage.from_side and not one.begins
     ]
     return min(times, key=lambda time_s: abs(time_s - passage.time_s)) if times else math.nan

@@ -17,7 +17,7 @@ from skope.traffic.event_probability import image_miss_rate_groups, usual_step
 from skope.traffic.gate_counts import interval_counts
 from skope.traffic.gates import gate_crossings, gates_in_image
 from skope.traffic.lanes import LaneMap
-from skope.traffic.manual_count_checks import counts_adjusted_by_hand, manual_count_checks
+from skope.traffic.manual_count_checks import counts_adjusted_by_manual_counts, manual_count_checks
 from skope.traffic.manual_count_file import ManualCount
 from skope.traffic.measure import total_counts, whole_footage
 from skope.traffic.missed_crossings import unseen
@@ -92,9 +92,9 @@ def count_in_image(
     )
     kinds = {gate.name: image_miss_rate_groups(_vehicle_px(tracks, gate)) for gate in gates}
     missed = unseen(tracks, gates, every, observation, settings, IMAGE_GATES.near_px, kinds)
-    crossed = [one for one in every if one.counts]
+    crossed = [one for one in every if one.is_counted]
     checks = manual_count_checks(manual_counts, crossed, missed, settings)
-    missed = counts_adjusted_by_hand(checks, crossed, missed, gates, settings)
+    missed = counts_adjusted_by_manual_counts(checks, crossed, missed, gates, settings)
     moved = movements(crossed, settings)
     counts = interval_counts(crossed, gates, [], intervals, observation, settings, missed)
     # Vehicles of unknown class, shared evenly among the classes, would give intervals such as 3 to 14 lorries.

@@ -87,14 +87,14 @@ def _row(time_s: float, track: Track, reason: str) -> LeftOutCrossing:
 
 
 def _why_not_counted(crossing: GateCrossing, gate: Gate) -> str:
-    """Return the reason why `GateCrossing.counts` is false."""
+    """Return the reason why `GateCrossing.is_counted` is false."""
     _, along = signed_distances(gate, crossing.place[None])
     inside = 0 <= along[0] < math.dist(*gate.line)
     reasons = [
         f"probability {crossing.probability:.2f}, below 0.5"
         if inside
         else f"passes beside the end of the gate (probability {crossing.probability:.2f})",
-        *(text for word, text in _IN_DOUBT.items() if word in crossing.doubt.split()),
+        *(text for word, text in _IN_DOUBT.items() if word in crossing.uncertainty_flags.split()),
     ]
     return "; ".join(reasons)
 

@@ -74,7 +74,7 @@ class LengthCount:
     """Shortest and longest length of the bin, metres; None for `NO_BIN`."""
     count: int | None
     """Number of counted vehicles; None if nothing was observed."""
-    expected: CountInterval | None
+    confidence_interval: CountInterval | None
     """90% interval of the true number. None if counts of vehicles have no interval there, for `NO_BIN`, and for bins
     that begin at or above `LENGTH_MODEL.longest_measured_m`."""
 
@@ -179,10 +179,10 @@ def length_counts(
                 between = (
                     _between(own, chances, names, (gate.name, k), interval, limits, unseen) if known else NO_LIMITS
                 )
-                for name, bounds, expected in zip(
+                for name, bounds, confidence_interval in zip(
                     (*LENGTH_BINS, NO_BIN), (*bounds_m(limits), None), between, strict=True
                 ):
-                    number = sum(one.counts and names[one] == name for one in own)
+                    number = sum(one.is_counted and names[one] == name for one in own)
                     out.append(
                         LengthCount(
                             interval=interval,
@@ -192,7 +192,7 @@ def length_counts(
                             bin_name=name,
                             between_m=bounds,
                             count=number if observed_s > 0 else None,
-                            expected=expected,
+                            confidence_interval=confidence_interval,
                         )
                     )
     return out
@@ -215,7 +215,7 @@ def _between(
     """Return the intervals of the bins at a gate, from its crossings and lost tracks. `NO_BIN` has None."""
     (kind,) = (one for one in unseen.kinds_at(*side) if one.classes == OF_VEHICLES)
     most = partial(unseen.most, *side, interval, kind.classes)
-    if kind.loses(sum(one.counts for one in own), most()):
+    if kind.loses(sum(one.is_counted for one in own), most()):
         return NO_LIMITS
 
     here = [one for one in unseen.vanished if (one.gate, one.direction) == side]
@@ -225,7 +225,7 @@ def _between(
             may = tuple(one for one in here if one in chances and chances[one][k] >= LENGTH_MODEL.possible_probability)
             lost = replace(unseen, vanished=may).most(*side, interval, kind.classes)
             each = {one: kind.real * one.probability * float(chances[one][k]) for one in own}
-            inside = {one for one in own if one.counts and names[one] == LENGTH_BINS[k]}
+            inside = {one for one in own if one.is_counted and names[one] == LENGTH_BINS[k]}
             false = [1 - each[one] for one in own if one in inside]
             uncounted = [each[one] for one in own if one not in inside and each[one] > 0]
             errors = CountErrors(false, uncounted, lost, kind.came, kind.missed)

@@ -31,7 +31,7 @@ allow."""
 class LineCrossing:
     """Change from one side of a line to the other."""
 
-    came_from: int
+    from_side: int
     """Sign of the side before: 1 or -1."""
     time_s: float
     """Time of the crossing, seconds, interpolated between positions. If the track jitters across the line: the middle
@@ -71,18 +71,18 @@ def line_crossings(
         return []
     turns = list(_turns(signed, sign, times_s, hysteresis, leave, places))
     out = []
-    for k, (a, b, came_from) in enumerate(turns):
+    for k, (a, b, from_side) in enumerate(turns):
         since = turns[k - 1][1] if k else 0
         until = turns[k + 1][0] if k + 1 < len(turns) else len(signed) - 1
-        before = float((came_from * signed[since : b + 1]).max())
-        after = float((-came_from * signed[a : until + 1]).max())
+        before = float((from_side * signed[since : b + 1]).max())
+        after = float((-from_side * signed[a : until + 1]).max())
         if max(before, 0) + max(after, 0) < least_travel:
             continue
         times = _times_of_change(signed, sign, times_s, a, b)
         begins, ends = before < hysteresis, after < hysteresis or b == len(signed) - 1
         out.append(
             LineCrossing(
-                came_from=came_from,
+                from_side=from_side,
                 # A track that ends on the line, jittering, arrives at its first change of side.
                 time_s=times[len(times) // 2] if len(times) % 2 else times[0],
                 spread_s=(times[-1] - times[0]) / 2,

@@ -175,7 +175,7 @@ class ManualCountComparison:
     """Number that skope counted."""
     near: bool
     """Whether a road user was ever detected near the gate. If not, the manual count is not used."""
-    expected: CountInterval | None
+    confidence_interval: CountInterval | None
     """90% interval of the true number without the manual count; None if counts have no interval there."""
     contradicts: bool
     """Whether the manual count is too far from the automatic count for both to be right."""
@@ -208,9 +208,9 @@ def manual_count_checks(
         out.append(
             ManualCountComparison(
                 hand=one,
-                count=sum(each.counts and each.trajectory.class_name in one.classes for each in own),
+                count=sum(each.is_counted and each.trajectory.class_name in one.classes for each in own),
                 near=near,
-                expected=None if found is None else found.interval(),
+                confidence_interval=None if found is None else found.interval(),
                 contradicts=found is not None and _contradicts(one.number, found),
             )
         )
@@ -231,13 +231,14 @@ def hand_lines(checks: Sequence[ManualCountComparison]) -> Iterator[str]:
             )
         elif one.contradicts:
             yield (
-                f"{where}: manual count {hand.number}, skope {one.count}, expected {in_words(one.expected)}: they "
-                "contradict each other; check gate, direction, class and clock of the manual count, or the gate is "
+                f"{where}: manual count {hand.number}, skope {one.count}, expected "
+                f"{in_words(one.confidence_interval)}: they contradict each other; check gate, direction, class and clock "
+                "of the manual count, or the gate is "
                 "unusual; intervals at this gate include both, and other gates do not use this manual count"
             )
 
 
-def counts_adjusted_by_hand(
+def counts_adjusted_by_manual_counts(
     checks: Sequence[ManualCountComparison],
     crossings: Sequence[GateCrossing],
     unseen: MissedCrossings,

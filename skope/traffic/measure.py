@@ -18,7 +18,7 @@ from skope.traffic.gates import GateCrossing, gate_crossings, gates_of_other_cam
 from skope.traffic.headways import headways, occupancies
 from skope.traffic.lanes import LaneMap, lane_changes
 from skope.traffic.length_bins import length_counts
-from skope.traffic.manual_count_checks import counts_adjusted_by_hand, manual_count_checks
+from skope.traffic.manual_count_checks import counts_adjusted_by_manual_counts, manual_count_checks
 from skope.traffic.manual_count_file import ManualCount
 from skope.traffic.missed_crossings import MissedCrossings, unseen
 from skope.traffic.observation import Observation
@@ -71,9 +71,9 @@ def measure(
     step_s = usual_step(trajectories)
     every, others = _crossings(trajectories, site, observation, lanes, step_s)
     missed = unseen(trajectories, gates, every, observation, settings, other_cameras=others)
-    crossed = [one for one in every if one.counts]
+    crossed = [one for one in every if one.is_counted]
     checks = manual_count_checks(manual_counts, crossed, missed, settings)
-    missed = counts_adjusted_by_hand(checks, crossed, missed, gates, settings)
+    missed = counts_adjusted_by_manual_counts(checks, crossed, missed, gates, settings)
     moved = movements(crossed, settings, step_s if broken else None)
     sections = section_passes(moved)
     speeds = speed_groups(crossed, sections, intervals, observation)

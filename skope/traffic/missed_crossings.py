@@ -142,7 +142,7 @@ def unseen(
     blind = {gate.name for gate in gates if not any(near_gate(gate, one, near).any() for one in confirmed)}
     return MissedCrossings(
         vanished=tuple(sorted(found, key=lambda one: one.time_s)),
-        doubtful=tuple(one for one in crossings if not one.counts),
+        doubtful=tuple(one for one in crossings if not one.is_counted),
         kinds=kinds
         or {gate.name: miss_rate_groups(observation.pixels_per_metre(np.mean(gate.line, axis=0))) for gate in gates},
         gates=frozenset(blind),

@@ -63,7 +63,7 @@ class Observation:
     exclude it. None: not known."""
     ground: Ground | None = None
     """Road surface on which positions were computed; None: not known."""
-    moved_s: Array = field(default_factory=lambda: np.zeros(0))
+    camera_moved_s: Array = field(default_factory=lambda: np.zeros(0))
     """(M,) times of the frames after the camera was moved, seconds, increasing. `times_s` does not contain them."""
     turned: tuple[tuple[float, Camera], ...] = ()
     """Camera after each rotation within the footage, with its start time in seconds, increasing."""
@@ -87,7 +87,7 @@ class Observation:
             return np.zeros((0, 2))
         steps = np.diff(self.times_s)
         usual = _usual_step(self.times_s)
-        moved = np.diff(np.searchsorted(self.moved_s, self.times_s)) > 0
+        moved = np.diff(np.searchsorted(self.camera_moved_s, self.times_s)) > 0
         cuts = np.flatnonzero((steps > longest_step_s(usual)) | moved)
         starts = self.times_s[np.concatenate([[0], cuts + 1]).astype(int)]
         ends = self.times_s[np.concatenate([cuts, [len(self.times_s) - 1]]).astype(int)]
@@ -96,19 +96,19 @@ class Observation:
     @cached_property
     def extent(self) -> tuple[float, float]:
         """Start and end of the footage, seconds. Frames after a camera move are included."""
-        every = np.union1d(self.times_s, self.moved_s)
+        every = np.union1d(self.times_s, self.camera_moved_s)
         if not len(every):
             return 0.0, 0.0
         return float(every[0]), float(every[-1]) + _usual_step(every)
 
     @cached_property
-    def further_s(self) -> Array:
+    def recording_starts_s(self) -> Array:
         """(R - 1,) start times of the second and later recordings, seconds; empty for one recording."""
         return np.array([part.extent[0] for part in self.parts[1:]])
 
     def recording_at(self, time_s: float) -> int:
         """Return the number, from 1, of the recording that contains a time or was the last to start before it."""
-        return 1 + int(np.searchsorted(self.further_s, time_s, side="right"))
+        return 1 + int(np.searchsorted(self.recording_starts_s, time_s, side="right"))
 
     @property
     def observed_s(self) -> float:
@@ -174,7 +174,7 @@ class Observation:
             "version": OBSERVATION_LIMITS.version,
             "source": self.source,
             "times_s": [round(float(time), 4) for time in self.times_s],
-            "moved_times_s": [round(float(time), 4) for time in self.moved_s],
+            "moved_times_s": [round(float(time), 4) for time in self.camera_moved_s],
             "common_scale_sigma": self.common_scale_sigma,
             "camera": None if self.camera is None else _camera_dict(self.camera, self.uncertainty),
             "ground": None if self.ground is None else asdict(self.ground),
@@ -193,7 +193,9 @@ def longest_step_s(usual_s: float) -> float:
     return max(OBSERVATION_LIMITS.gap_s, OBSERVATION_LIMITS.gap_steps * usual_s)
 
 
-def frame_durations_s(times_s: Array, begin_s: float, end_s: float, further_s: Sequence[float] | Array = ()) -> Array:
+def frame_durations_s(
+    times_s: Array, begin_s: float, end_s: float, recording_starts_s: Sequence[float] | Array = ()
+) -> Array:
     """Return the time in an interval that each frame covers, seconds.
 
     A frame lasts until the next frame. Before a gap (see `Observation.spans`) it lasts one usual frame interval.
@@ -207,7 +209,7 @@ def frame_durations_s(times_s: Array, begin_s: float, end_s: float, further_s: S
     Returns:
         (N,) durations, seconds.
     """
-    ends = [_ends(part) for part in np.split(times_s, np.searchsorted(times_s, further_s))]
+    ends = [_ends(part) for part in np.split(times_s, np.searchsorted(times_s, recording_starts_s))]
     return np.asarray(np.clip(np.concatenate(ends), begin_s, end_s) - np.clip(times_s, begin_s, end_s))
 
 
@@ -254,7 +256,7 @@ def read_observation(folder: Path) -> Observation:
         camera=camera,
         uncertainty=uncertainty,
         ground=value_of(document.get("ground"), Ground | None, f"{path}: ground"),
-        moved_s=np.unique(_numbers(path, document, "moved_times_s")),
+        camera_moved_s=np.unique(_numbers(path, document, "moved_times_s")),
         turned=_read_turned(path, document.get("turned", [])),
         visibility_samples=checked_visibility(document.get("visibility_samples"), f"{path}: visibility_samples"),
         start_time=None

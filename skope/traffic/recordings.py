@@ -282,7 +282,7 @@ def _check(placed: Sequence[_Placed]) -> None:
     """Raise a UserError if the recordings, in order of time, cannot share one report."""
     folders, contents = dict[Path, Path](), dict[str, Path]()
     for one in placed:
-        if not len(one.observation.times_s) + len(one.observation.moved_s):
+        if not len(one.observation.times_s) + len(one.observation.camera_moved_s):
             raise UserError(f"{one.folder / FOOTAGE_FILE}: times_s: expected at least one frame, found none")
         if one.folder.resolve() in folders:
             raise UserError(f"{one.folder}: given twice; name each recording once")
@@ -333,7 +333,7 @@ def _together(parts: Sequence[Observation]) -> Observation:
         times_s=np.concatenate([part.times_s for part in parts]),
         source=f"{parts[0].source} to {parts[-1].source}",
         common_scale_sigma=max(sigmas) if math.isfinite(max(sigmas)) else None,
-        moved_s=np.concatenate([part.moved_s for part in parts]),
+        camera_moved_s=np.concatenate([part.camera_moved_s for part in parts]),
         visibility_samples=np.concatenate([part.visibility_samples for part in parts]),
         parts=tuple(parts),
     )
@@ -346,7 +346,7 @@ def _in_report(observation: Observation, begin_s: float) -> Observation:
     return replace(
         observation,
         times_s=_at(observation.times_s, begin_s),
-        moved_s=_at(observation.moved_s, begin_s),
+        camera_moved_s=_at(observation.camera_moved_s, begin_s),
         turned=tuple((from_s + begin_s, camera) for from_s, camera in observation.turned),
         visibility_samples=visibility_samples,
         start_time=None,

@@ -58,7 +58,7 @@ class IntervalVisibility:
     """Time with dark images, seconds."""
     low_contrast_s: float | None
     """Time with images of hardly any contrast (fog, a covered lens), seconds."""
-    moved_s: float
+    camera_moved_s: float
     """Time for which the camera was moved away from its calibrated view, seconds. Nothing is observed then."""
     poor_s: float | None
     """Time in which at least one of these conditions holds, seconds."""
@@ -76,29 +76,31 @@ def interval_visibility(observation: Observation, begin_s: float, end_s: float) 
         begin_s: Start of the interval, seconds.
         end_s: End of the interval, seconds.
     """
-    every = np.union1d(observation.times_s, observation.moved_s)
-    moved_s = float(
-        frame_durations_s(every, begin_s, end_s, observation.further_s)[np.isin(every, observation.moved_s)].sum()
+    every = np.union1d(observation.times_s, observation.camera_moved_s)
+    camera_moved_s = float(
+        frame_durations_s(every, begin_s, end_s, observation.recording_starts_s)[
+            np.isin(every, observation.camera_moved_s)
+        ].sum()
     )
     times, brightness, contrast = observation.visibility_samples.T
-    held = frame_durations_s(times, begin_s, end_s, observation.further_s)
+    held = frame_durations_s(times, begin_s, end_s, observation.recording_starts_s)
     if not held.sum() > 0:
         return IntervalVisibility(
             low_brightness_s=None,
             low_contrast_s=None,
-            moved_s=moved_s,
-            poor_s=moved_s or None,
+            camera_moved_s=camera_moved_s,
+            poor_s=camera_moved_s or None,
             brightness=None,
             contrast=None,
         )
     dark, flat = brightness < REMARK_LIMITS.dark, contrast < REMARK_LIMITS.flat
     frames = np.concatenate([[-np.inf], every])
-    of_moved = np.isin(frames[np.searchsorted(every, times, side="right")], observation.moved_s)
+    of_moved = np.isin(frames[np.searchsorted(every, times, side="right")], observation.camera_moved_s)
     return IntervalVisibility(
         low_brightness_s=float(held[dark].sum()),
         low_contrast_s=float(held[flat].sum()),
-        moved_s=moved_s,
-        poor_s=moved_s + float(held[(dark | flat) & ~of_moved].sum()),
+        camera_moved_s=camera_moved_s,
+        poor_s=camera_moved_s + float(held[(dark | flat) & ~of_moved].sum()),
         brightness=float(np.average(brightness, weights=held)),
         contrast=float(np.average(contrast, weights=held)),
     )
@@ -110,7 +112,7 @@ def sight_lines(observation: Observation) -> Iterator[str]:
     parts = {
         "dark": found.low_brightness_s,
         "without contrast": found.low_contrast_s,
-        "with the camera moved to another view": found.moved_s,
+        "with the camera moved to another view": found.camera_moved_s,
     }
     told = [f"{seconds:.0f} s {what}" for what, seconds in parts.items() if seconds is not None and seconds >= 0.5]
     if told:
@@ -167,7 +169,7 @@ def remarks_on_counts(report: "TrafficReport") -> Iterator[str]:
             f"gate {name!r}: no road user was ever detected near it: either none crossed it, or none can be seen there"
         )
     for one in report.counts_total:
-        if one.expected is not None or not one.observed_s or one.gate in missed.gates:
+        if one.confidence_interval is not None or not one.observed_s or one.gate in missed.gates:
             continue
         kinds = missed.kinds.get(one.gate, ())
         if one.class_name == VEHICLE_CATEGORY and kinds and kinds[0].too_small:
@@ -253,7 +255,7 @@ def _of_gate(gate: Gate, report: "TrafficReport") -> Iterator[str]:
             f"({total} crossings): many may be missed; move the gate to where vehicles are visible on both sides"
         )
     perhaps = (*report.crossings, *report.unseen.doubtful)
-    beside = sum("beside" in one.doubt and one.gate == gate.name for one in perhaps)
+    beside = sum("beside" in one.uncertainty_flags and one.gate == gate.name for one in perhaps)
     if beside >= max(REMARK_LIMITS.few_tracks, REMARK_LIMITS.many_share * total):
         yield (
             f"gate {gate.name!r}: {beside} road users pass so close to an end of the gate that they may be inside or "

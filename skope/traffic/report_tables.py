@@ -96,7 +96,7 @@ def _events(report: TrafficReport) -> ReportTable:
             place = one.place.tolist() if report.metres else [one.place[0], -one.place[1]]
             speed_sigma = report.observation.total_sigma(one.speed_sigma, one.speed)
             ends = (one.speed * KMH_PER_MPS, speed_sigma * KMH_PER_MPS, one.front_s, one.rear_s)
-            tail = (*place, *(ends if report.metres else (None,) * 4), None, one.probability, one.doubt)
+            tail = (*place, *(ends if report.metres else (None,) * 4), None, one.probability, one.uncertainty_flags)
             tail = (*tail, *_length(report, one.trajectory))
             who = ("gate", one.sigma_s, *_who(one.trajectory), one.gate, one.direction_name, one.lane)
             yield one.time_s, (*who, *tail)
@@ -181,7 +181,7 @@ def _visibility(report: TrafficReport) -> ReportTable:
             observed_s,
             found.low_brightness_s,
             found.low_contrast_s,
-            found.moved_s,
+            found.camera_moved_s,
         )
         return *_of_interval(interval), *seconds, found.brightness, found.contrast
 
@@ -210,7 +210,7 @@ def _counts(report: TrafficReport) -> ReportTable:
                     one.class_name,
                     one.count,
                 ),
-                *in_cells(one.expected),
+                *in_cells(one.confidence_interval),
                 OTC_CLASSES.get(one.class_name),
                 one.pce,
             )
@@ -227,7 +227,7 @@ def _lengths(report: TrafficReport) -> ReportTable:
             (
                 *_of_interval(one.interval),
                 *(one.observed, one.gate, one.direction, one.bin_name, *_bounds(one), one.count),
-                *in_cells(one.expected),
+                *in_cells(one.confidence_interval),
                 WHY_NOT if one.between_m and one.between_m[0] >= LENGTH_MODEL.longest_measured_m else None,
             )
             for one in report.lengths
@@ -250,7 +250,7 @@ def _manual_count(report: TrafficReport) -> ReportTable:
             (
                 *_of_interval(one.hand.interval),
                 *(one.hand.gate, one.hand.direction_name, one.hand.class_name, one.hand.number, one.count),
-                *(*in_cells(one.expected), one.count - one.hand.number, one.geh, int(one.contradicts)),
+                *(*in_cells(one.confidence_interval), one.count - one.hand.number, one.geh, int(one.contradicts)),
             )
             for one in report.manual_count_checks
         ),
@@ -265,7 +265,7 @@ def _turning(report: TrafficReport) -> ReportTable:
             (
                 *_of_interval(one.interval),
                 observed_word(one.interval, report.observation.seconds_in(one.interval.begin_s, one.interval.end_s)),
-                *(*one.origin, *one.destination, one.class_name, one.count, *in_cells(one.expected)),
+                *(*one.origin, *one.destination, one.class_name, one.count, *in_cells(one.confidence_interval)),
             )
             for one in report.turning
         ),

@@ -110,7 +110,7 @@ def _gates(report: TrafficReport) -> Iterator[list[str]]:
         if one.kind == "spot" and one.interval is None and one.class_name == MOTOR_TRAFFIC
     }
     for one in report.counts_total:
-        told = in_words(one.expected)
+        told = in_words(one.confidence_interval)
         found = speeds.get(f"{one.gate} ({one.direction})", {}) if one.class_name == ALL_CLASSES else {}
         yield [
             *(one.gate, one.direction, one.class_name, str(one.count or 0), told),
@@ -120,7 +120,7 @@ def _gates(report: TrafficReport) -> Iterator[list[str]]:
 
 def _by_hand(report: TrafficReport) -> Iterator[list[str]]:
     for one in report.manual_count_checks:
-        told = in_words(one.expected)
+        told = in_words(one.confidence_interval)
         hand = one.hand
         counted = (str(hand.number), str(one.count), told, f"{one.geh:.1f}")
         yield [hand.gate, hand.direction_name, hand.class_name, *counted]
@@ -137,5 +137,5 @@ def _movements(report: TrafficReport) -> Iterator[list[str]]:
     for one in report.turning_total:
         if NO_GATE not in (one.origin, one.destination):
             sides = [f"{gate} ({direction})" for gate, direction in (one.origin, one.destination)]
-            told = in_words(one.expected)
+            told = in_words(one.confidence_interval)
             yield [*sides, one.class_name, str(one.count or 0), told]

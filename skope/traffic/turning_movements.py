@@ -81,7 +81,7 @@ class TurningMovementCount:
     """`VEHICLE_CATEGORY` for vehicles with more than two wheels, or `ALL_CLASSES`."""
     count: int | None
     """Number of counted movements; None if nothing was observed."""
-    expected: CountInterval | None
+    confidence_interval: CountInterval | None
     """90% interval of the true number. None if nothing was observed, if too few road users are detected at one of the
     gates, if pedestrians use either gate, or if origin or destination is not known."""
 
@@ -178,7 +178,9 @@ def turning_counts(
                         destination=pair[1],
                         class_name=class_name,
                         count=sum(one.sides == pair for one in members) if observed else None,
-                        expected=None if alike is None else _expected(members, pair, alike, classes),
+                        confidence_interval=None
+                        if alike is None
+                        else _confidence_interval(members, pair, alike, classes),
                     )
                 )
     return out
@@ -190,7 +192,7 @@ def _missed_more(origin: Sequence[MissRateGroup], destination: Sequence[MissRate
     return [max(alike, key=lambda kind: (kind.too_small, kind.mean_missed)) for alike in pairs]
 
 
-def _expected(
+def _confidence_interval(
     members: Sequence[Movement],
     pair: tuple[GateDirection, GateDirection],
     kinds: Sequence[MissRateGroup],

@@ -77,7 +77,7 @@ def report_summary(report: TrafficReport, *, tracks: str | list[str], revision: 
             "direction": one.direction,
             "class": one.class_name,
             "count": one.count,
-            **in_json(one.expected),
+            **in_json(one.confidence_interval),
             **({} if one.pce is None else {"pce": one.pce}),
         }
         for one in report.counts_total
@@ -109,7 +109,7 @@ def report_summary(report: TrafficReport, *, tracks: str | list[str], revision: 
                 "to": list(one.destination),
                 "class": one.class_name,
                 "count": one.count,
-                **in_json(one.expected),
+                **in_json(one.confidence_interval),
             }
             for one in report.turning_total
         ],

@@ -92,11 +92,11 @@ def _of_one(trajectory: Track, zone: Zone, settings: TrafficSettings) -> list[Zo
     changes = line_crossings(signed, times, hysteresis=settings.hysteresis_m, leave=leave, places=trajectory.xy)
     first = float(times[0]), float(times[-1])
     begins_inside = (
-        changes[0].came_from > 0 if changes else bool(signed[0] >= 0 and signed.max() >= settings.hysteresis_m)
+        changes[0].from_side > 0 if changes else bool(signed[0] >= 0 and signed.max() >= settings.hysteresis_m)
     )
     enters = [math.nan] if begins_inside else []
-    enters += [one.time_s for one in changes if one.came_from < 0]
-    leaves = [one.time_s for one in changes if one.came_from > 0]
+    enters += [one.time_s for one in changes if one.from_side < 0]
+    leaves = [one.time_s for one in changes if one.from_side > 0]
     leaves += [math.nan] * (len(enters) - len(leaves))
     out = []
     for enter_s, leave_s in zip(enters, leaves, strict=True):

@@ -87,7 +87,7 @@ def test_only_the_movement_is_not_observed(tmp_path: Path) -> None:
     write_seen(tmp_path / "knocked", KNOCKED)
     tracks, observation, notes = read_image_trajectories(tmp_path / "knocked", [GATE])
     assert observation.spans == pytest.approx(np.array([[0, 6.0], [6.4, 14.0]]))
-    assert observation.moved_s == pytest.approx([6.0, 6.1, 6.2, 6.3])
+    assert observation.camera_moved_s == pytest.approx([6.0, 6.1, 6.2, 6.3])
     assert len(tracks) == 12
     (note,) = notes
     assert "from 6.4 s on" in note

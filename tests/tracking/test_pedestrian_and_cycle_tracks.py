@@ -18,7 +18,7 @@ from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.pose.keypoint_views import read_scene
 from skope.schema import AnnotationFile, RoadUserResult
-from skope.tracking.ground_points import GroundPoint, Sight, ground_points, sights_of
+from skope.tracking.ground_points import GroundDetection, GroundPoint, ground_detections, ground_points
 from skope.tracking.pedestrian_and_cycle_tracks import FOOT_TRACKS, follow_road_users, of_body
 from skope.tracks.track import Track
 from tests.conftest import files_of
@@ -76,15 +76,15 @@ def test_above_the_horizon_and_far_away_there_are_no_places() -> None:
 # ------------------------------------------------------------------------------------------------------------- tracks
 
 
-def sight(place: np.ndarray, category: int, link: int | None = None, *, known: bool = True) -> Sight:
+def sight(place: np.ndarray, category: int, link: int | None = None, *, known: bool = True) -> GroundDetection:
     point = GroundPoint(place, 0.1**2 * np.eye(2), 0.0) if known else None
     links = () if link is None else ((category, link),)
-    return Sight(category, np.array([10.0, 10, 20, 40]), 0.9, links, {category: 0.9}, point)
+    return GroundDetection(category, np.array([10.0, 10, 20, 40]), 0.9, links, {category: 0.9}, point)
 
 
 def walked(
     people: Sequence[tuple[int, Walk]], times: Sequence[float], *, links: bool = False, seed: int = 0
-) -> list[list[Sight]]:
+) -> list[list[GroundDetection]]:
     rng = np.random.default_rng(seed)
     return [
         [
@@ -375,7 +375,7 @@ def test_a_box_that_the_images_edge_cuts_says_nothing_of_the_feet(tmp_path: Path
     low = [replace(u, bbox=np.array([900.0, 700, 60, 380])) for u in file.road_users]
     coco.write(tmp_path / "road.json", replace(file, road_users=tuple(low)))
     scene = read_scene(None, tmp_path / "road.json", None, None, 0.0)
-    sights = [one for image in sights_of(scene, score=0.5, sigma_px=None) for one in image]
+    sights = [one for image in ground_detections(scene, score=0.5, sigma_px=None) for one in image]
     assert len(sights) == len(file.road_users)
     assert all(one.point is None for one in sights)
 
@@ -394,7 +394,7 @@ def test_boxes_of_one_rider_are_one_sight_and_two_abreast_are_two(tmp_path: Path
     ]
     coco.write(tmp_path / "road.json", replace(file, road_users=()))
     scene = replace(read_scene(None, tmp_path / "road.json", None, None, 0.0), road_users=found)
-    first, second = sorted(sights_of(scene, score=0.5, sigma_px=None)[0], key=lambda sight: len(sight.links))
+    first, second = sorted(ground_detections(scene, score=0.5, sigma_px=None)[0], key=lambda sight: len(sight.links))
     assert first.links == ((PEDESTRIAN, 9),)
     assert set(second.links) == {(kind, kind) for kind in boxes}
     assert second.category_id == PEDESTRIAN, "the surest box"
@@ -405,7 +405,7 @@ def test_ignored_ones_are_not_followed(tmp_path: Path) -> None:
     file = street(0.5)
     coco.write(tmp_path / "a.json", replace(file, road_users=tuple(replace(u, iscrowd=1) for u in file.road_users)))
     scene = read_scene(None, tmp_path / "a.json", None, None, 0.0)
-    assert not any(sights_of(scene, score=0.5, sigma_px=None))
+    assert not any(ground_detections(scene, score=0.5, sigma_px=None))
 
 
 def test_places_go_by_the_road_of_their_image(tmp_path: Path) -> None:
@@ -413,9 +413,10 @@ def test_places_go_by_the_road_of_their_image(tmp_path: Path) -> None:
     scene = read_scene(None, tmp_path / "street.json", None, None, 0.0)
     first = scene.file.images[0].id
     lower, unknown = (
-        sights_of(replace(scene, roads={first: road}), score=0.5, sigma_px=None) for road in (Ground(height=-1.0), None)
+        ground_detections(replace(scene, roads={first: road}), score=0.5, sigma_px=None)
+        for road in (Ground(height=-1.0), None)
     )
-    usual = sights_of(scene, score=0.5, sigma_px=None)
+    usual = ground_detections(scene, score=0.5, sigma_px=None)
     assert any(sight.point for sight in usual[0])
     assert {sight.point.height for sight in lower[0] if sight.point} == {-1.0}
     assert not any(sight.point for sight in unknown[0])

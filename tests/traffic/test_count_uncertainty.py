@@ -119,10 +119,10 @@ def test_no_count_lies_outside_its_interval(seed: int) -> None:
         )
     report = measure(tracks, watched(150.0), replace(SITE, gates=gates, traffic=TrafficSettings(interval_minutes=1)))
     rows = [*report.counts, *report.counts_total, *report.turning, *report.turning_total, *report.lengths]
-    known = [one for one in rows if one.expected is not None and one.count is not None]
+    known = [one for one in rows if one.confidence_interval is not None and one.count is not None]
     assert len(known) > 100
     assert sum(one.count for one in known) > 10
     for one in known:
-        assert one.expected is not None
-        assert one.expected.low <= one.count <= one.expected.high, one
-    assert not math.isnan(sum(one.expected.high for one in known if one.expected))
+        assert one.confidence_interval is not None
+        assert one.confidence_interval.low <= one.count <= one.confidence_interval.high, one
+    assert not math.isnan(sum(one.confidence_interval.high for one in known if one.confidence_interval))

@@ -82,7 +82,7 @@ def test_a_workbook_holds_the_tables_as_numbers_and_times(tmp_path: Path) -> Non
     _, *events = book.get_sheet_by_name("events").to_python()
     assert len(events) == len(list(report_tables(report)["events"].rows))
     summary = book.get_sheet_by_name("summary").to_python()
-    expected = report.counts_total[0].expected
+    expected = report.counts_total[0].confidence_interval
     assert expected
     assert ["=SUM(A1)", "in", "all", 2.0, expected.low, expected.high] in summary
 

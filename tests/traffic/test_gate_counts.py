@@ -65,7 +65,7 @@ def test_nothing_counted_and_nothing_observed_are_told_apart() -> None:
     )
     west = [(one.observed, one.count) for one in rows if (one.direction, one.class_name) == ("west", ALL_CLASSES)]
     assert west == [("full", 0), *[("none", None)] * 4, ("partial", 1)]
-    assert all((one.expected is None) == (one.count is None) for one in rows if one.class_name != "unknown")
+    assert all((one.confidence_interval is None) == (one.count is None) for one in rows if one.class_name != "unknown")
     assert seen.together(10.0, 890.0)
     assert not seen.together(890.0, 4600.0)
 
@@ -91,9 +91,9 @@ def test_one_class_for_each_track_and_classes_add_up() -> None:
     }
     # A van may be a car that was taken for one: the interval of cars goes beyond their count.
     cars = by_class["car"]
-    assert cars.expected is not None
+    assert cars.confidence_interval is not None
     assert cars.count is not None
-    assert cars.expected.high > cars.count + 3
+    assert cars.confidence_interval.high > cars.count + 3
 
 
 # --------------------------------------------------------------------------------------------------------- movements
@@ -155,7 +155,7 @@ def test_movements_with_u_turns_add_up_to_the_gates_counts() -> None:
         assert wanted or origin != destination, "W to W as well"
     lost = [one for one in rows if one.destination == NO_GATE and one.origin[1] == "in"]
     assert sum(one.count or 0 for one in lost) > 20
-    assert all(one.expected is None for one in lost)
+    assert all(one.confidence_interval is None for one in lost)
 
 
 def test_a_track_that_nothing_was_seen_of_for_long_is_no_movement_and_stays_in_the_gates_counts() -> None:
@@ -200,7 +200,7 @@ def test_where_people_walk_movements_are_known_of_vehicles_alone() -> None:
     tracks = [*(turn(k, "west", "east", 5.0 * k) for k in range(3)), turn(3, "west", "north", 30.0), walker]
     found = movements(gate_crossings(tracks, ARMS, NO_LANES, settings), settings, 0.1)
     told = {
-        (one.destination[0], one.class_name): one.expected
+        (one.destination[0], one.class_name): one.confidence_interval
         for one in turning_counts(
             found, ARMS, clock_intervals(None, 0, 60, 1), watched(60), settings, MissedCrossings()
         )

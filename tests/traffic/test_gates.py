@@ -29,7 +29,7 @@ NO_LANES = LaneMap(())
 
 
 def crossed(*trajectories: Track, gates: tuple[Gate, ...] = (GATE,), **settings: Any) -> list[GateCrossing]:
-    return [one for one in gate_crossings(trajectories, gates, NO_LANES, TrafficSettings(**settings)) if one.counts]
+    return [one for one in gate_crossings(trajectories, gates, NO_LANES, TrafficSettings(**settings)) if one.is_counted]
 
 
 def directions(x: Any, **settings: Any) -> list[str]:
@@ -78,7 +78,7 @@ def test_a_track_that_breaks_on_the_gate_is_counted_once() -> None:
 def test_what_is_in_doubt_says_so() -> None:
     (sure,) = crossed(along_x(1, np.linspace(-3, 3, 25)))
     (ends,) = crossed(along_x(1, [-3, -2, -1, -0.5, 0.02]))
-    assert (sure.doubt, ends.doubt) == ("", "ends")
+    assert (sure.uncertainty_flags, ends.uncertainty_flags) == ("", "ends")
     assert ends.probability < 0.75 * sure.probability
 
 
@@ -154,9 +154,9 @@ def test_who_goes_past_the_end_of_a_gate_is_in_doubt() -> None:
     assert outside
     assert middle
     assert far is None
-    assert (inside.counts, inside.doubt) == (True, "beside")
-    assert (outside.counts, outside.doubt) == (False, "beside")
-    assert (middle.counts, middle.doubt) == (True, "")
+    assert (inside.is_counted, inside.uncertainty_flags) == (True, "beside")
+    assert (outside.is_counted, outside.uncertainty_flags) == (False, "beside")
+    assert (middle.is_counted, middle.uncertainty_flags) == (True, "")
     # Both together are one crossing of one who is as far from the end on either side.
     assert inside.probability + outside.probability == pytest.approx(middle.probability)
 
@@ -173,7 +173,7 @@ def test_nobody_walks_that_fast() -> None:
         gate_crossings([straight(1, (-4 * v, 0), (v, 0), 8, **walker)], [GATE], NO_LANES, TrafficSettings())
         for v in (1.5, 5.0, 9.0)
     )
-    assert [one.counts for one in (*walks, *runs, *flies)] == [True, True, False]
+    assert [one.is_counted for one in (*walks, *runs, *flies)] == [True, True, False]
 
 
 def test_unconfirmed_and_parked_are_not_counted() -> None:
@@ -233,7 +233,7 @@ def test_the_cameras_error_decides_no_crossing_of_a_gate_that_was_drawn(share: f
     gate = Gate(name="drawn", pixels=pixels, size=(1280, 720), directions=("away", "back"))
     one = counted(tracks, gate, seen_by(CAMERA, share))
     assert one.count == 10
-    assert one.expected == counted(tracks, gate, seen_by(CAMERA, None)).expected
+    assert one.confidence_interval == counted(tracks, gate, seen_by(CAMERA, None)).confidence_interval
     # The line in the site file is that of another calibration: pixels win, at any size of the image.
     stale = replace(gate, line=((55.0, -6.0), (55.0, 6.0)), size=(2560, 1440),
                     pixels=tuple((2 * u, 2 * v) for u, v in pixels))  # fmt: skip
@@ -264,13 +264,15 @@ def test_the_cameras_error_is_one_for_all_at_a_surveyed_gate() -> None:
     gate = Gate(name="surveyed", line=((50.0, -6.0), (50.0, 6.0)), directions=("away", "back"))
     sure, unsure = (counted(tracks, gate, seen_by(CAMERA, share)) for share in (0.0, 0.05))
     assert (sure.count, unsure.count) == (0, 0)
-    assert sure.expected is not None
-    assert unsure.expected is not None
-    assert sure.expected.high <= 2
-    assert unsure.expected.high >= 10, "all may have crossed, and not by chance one or two of them"
+    assert sure.confidence_interval is not None
+    assert unsure.confidence_interval is not None
+    assert sure.confidence_interval.high <= 2
+    assert unsure.confidence_interval.high >= 10, "all may have crossed, and not by chance one or two of them"
     far = [straight(k, (20.0, -2.0), (8.0, 0.0), 7.0, begin_s=5.0 * k) for k in range(10)]
-    told = counted(far, gate, seen_by(CAMERA, 0.03)).expected
-    assert told == counted(far, gate, seen_by(CAMERA, 0.0)).expected, "who drives on crosses under any camera"
+    told = counted(far, gate, seen_by(CAMERA, 0.03)).confidence_interval
+    assert told == counted(far, gate, seen_by(CAMERA, 0.0)).confidence_interval, (
+        "who drives on crosses under any camera"
+    )
 
 
 def test_a_surveyed_gate_lies_elsewhere_among_the_tracks_of_a_wrong_camera() -> None:

@@ -21,13 +21,13 @@ LOOKS = np.array([[0.5 * k, 0.05 if 10 <= k < 20 else 0.4, 0.005 if 30 <= k < 36
 
 
 def test_seconds_that_are_dark_flat_or_after_a_move_are_counted_once() -> None:
-    seen = replace(watched(39.9), moved_s=np.arange(400, 600) / 10, visibility_samples=LOOKS)
+    seen = replace(watched(39.9), camera_moved_s=np.arange(400, 600) / 10, visibility_samples=LOOKS)
     whole = interval_visibility(seen, 0.0, 60.0)
-    assert (whole.low_brightness_s, whole.low_contrast_s, whole.moved_s, whole.poor_s) == pytest.approx(
+    assert (whole.low_brightness_s, whole.low_contrast_s, whole.camera_moved_s, whole.poor_s) == pytest.approx(
         (5.0, 3.0, 20.0, 28.0)
     )
     part = interval_visibility(seen, 7.25, 16.0)
-    assert (part.low_brightness_s, part.low_contrast_s, part.moved_s, part.poor_s) == pytest.approx(
+    assert (part.low_brightness_s, part.low_contrast_s, part.camera_moved_s, part.poor_s) == pytest.approx(
         (2.75, 1.0, 0.0, 3.75)
     )
     assert part.brightness == pytest.approx((2.75 * 0.05 + 6.0 * 0.4) / 8.75)
@@ -37,9 +37,9 @@ def test_seconds_that_are_dark_flat_or_after_a_move_are_counted_once() -> None:
     (line,) = sight_lines(seen)
     assert "5 s dark, 3 s without contrast, 20 s with the camera moved to another view" in line
     # A calibration of the later part: dark from 5 to 10 s is of the other view.
-    turned = Observation(times_s=np.arange(80, 600) / 10, moved_s=np.arange(80) / 10, visibility_samples=LOOKS)
+    turned = Observation(times_s=np.arange(80, 600) / 10, camera_moved_s=np.arange(80) / 10, visibility_samples=LOOKS)
     found = interval_visibility(turned, 0.0, 60.0)
-    assert (found.moved_s, found.low_brightness_s, found.poor_s) == pytest.approx((8.0, 5.0, 8.0 + 2.0 + 3.0))
+    assert (found.camera_moved_s, found.low_brightness_s, found.poor_s) == pytest.approx((8.0, 5.0, 8.0 + 2.0 + 3.0))
     assert not list(sight_lines(watched(60.0)))
 
 
@@ -53,7 +53,7 @@ def test_what_was_not_measured_is_not_said_to_be_good() -> None:
     )
     late = interval_visibility(replace(watched(60.0), visibility_samples=LOOKS), 100.0, 160.0)
     assert (late.low_brightness_s, late.poor_s) == (None, None)
-    assert interval_visibility(Observation(times_s=np.zeros(0)), 0.0, 60.0).moved_s == 0
+    assert interval_visibility(Observation(times_s=np.zeros(0)), 0.0, 60.0).camera_moved_s == 0
 
 
 @pytest.mark.parametrize("pause_s", [0.04, 0.6, 0.99, 1.2, 5.0])
@@ -94,11 +94,11 @@ def test_the_report_marks_its_intervals(tmp_path: Path) -> None:
 
 
 def test_what_is_written_is_read_again_and_what_is_wrong_is_said(tmp_path: Path) -> None:
-    seen = replace(watched(1.0), moved_s=np.array([1.1, 1.2]), visibility_samples=LOOKS[:3])
+    seen = replace(watched(1.0), camera_moved_s=np.array([1.1, 1.2]), visibility_samples=LOOKS[:3])
     document = seen.to_dict()
     (tmp_path / "footage.json").write_text(json.dumps(document))
     read = read_observation(tmp_path)
-    assert (read.moved_s.tolist(), read.visibility_samples.tolist()) == ([1.1, 1.2], LOOKS[:3].tolist())
+    assert (read.camera_moved_s.tolist(), read.visibility_samples.tolist()) == ([1.1, 1.2], LOOKS[:3].tolist())
     for name, said in (
         ("visibility_samples", "expected rows of time"),
         ("moved_times_s", "expected a list of numbers"),

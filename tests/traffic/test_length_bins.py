@@ -83,7 +83,7 @@ def test_counts_by_length_and_who_is_in_none() -> None:
     report = report_of(lengths)
     counted = {name: total(report, name) for name in ("short", "medium", "long", "unknown")}
     assert [one.count for one in counted.values()] == [30, 6, 1, 1]
-    short, medium, long, unknown = (one.expected for one in counted.values())
+    short, medium, long, unknown = (one.confidence_interval for one in counted.values())
     assert short
     assert short.low <= 30 <= short.high
     assert medium
@@ -100,7 +100,7 @@ def test_intervals_hold_the_truth_of_draws() -> None:
     rng = np.random.default_rng(4)
     told = [(m, "lorry") for m in rng.uniform(5.5, 8.0, 40)]
     report = report_of(told)
-    medium = total(report, "medium").expected
+    medium = total(report, "medium").confidence_interval
     assert medium
     chances = [bin_probabilities(of_length(m), LIMITS, 0.0)[1] for m, _ in told]
     drawn = (rng.random((4000, 40)) < chances).sum(axis=1) + rng.binomial(2, 0.3, 4000)
@@ -134,7 +134,7 @@ def test_the_files_say_it(tmp_path: Path) -> None:
 
 def test_nothing_observed_is_no_count_and_no_vehicles_no_rows() -> None:
     empty = measure([], watched(0), SITE)
-    assert all(one.count is None and one.expected is None for one in empty.lengths_total)
+    assert all(one.count is None and one.confidence_interval is None for one in empty.lengths_total)
     on_foot = replace(SITE, traffic=replace(SITE.traffic, classes=("pedestrian",)))
     assert measure([], watched(10), on_foot).lengths == ()
 

@@ -17,7 +17,7 @@ from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import MissRateGroup
 from skope.traffic.manual_count_checks import (
     CountEvidence,
-    counts_adjusted_by_hand,
+    counts_adjusted_by_manual_counts,
     hand_lines,
     learnt_miss_rates,
     manual_count_checks,
@@ -138,8 +138,8 @@ def between(report: TrafficReport, gate: str, direction: str) -> CountInterval:
     (one,) = (
         one for one in report.counts_total if (one.gate, one.direction, one.class_name) == (gate, direction, "all")
     )
-    assert one.expected is not None
-    return one.expected
+    assert one.confidence_interval is not None
+    return one.confidence_interval
 
 
 def test_counts_stay_and_their_intervals_move() -> None:
@@ -183,9 +183,9 @@ def test_a_gate_whose_count_has_no_interval_has_none_beside_the_hand_count_and_l
         measure([*lost, *through], watched(60.0), SITE, manual_counts=hands)
         for hands in ((), [manual_count(24, 0.0, 60.0)])
     )
-    assert all(one.expected is None for one in plain.counts_total if one.direction == "west")
+    assert all(one.confidence_interval is None for one in plain.counts_total if one.direction == "west")
     (check,) = told.manual_count_checks
-    assert (check.near, check.count, check.expected) == (True, 5, None)
+    assert (check.near, check.count, check.confidence_interval) == (True, 5, None)
     learnt = between(told, "g", "west")
     assert learnt.low <= 24 <= learnt.high
 
@@ -194,7 +194,7 @@ def test_movements_learn_what_is_missed_at_their_gates() -> None:
     plain, few = report_of(), report_of(manual_count(130, 0.0, 606.0))
     moved = [
         next(
-            one.expected
+            one.confidence_interval
             for one in report.turning_total
             if (one.origin, one.destination, one.class_name) == (("g", "west"), ("h", "west"), "all")
         )
@@ -210,8 +210,8 @@ def test_nothing_is_learnt_where_nobody_was_ever_seen() -> None:
     unseen = MissedCrossings(gates=frozenset({"far"}))
     settings = TrafficSettings()
     checks = manual_count_checks([manual_count(3, gate="far")], [], unseen, settings)
-    assert (checks[0].expected, checks[0].contradicts) == (None, False)
-    assert counts_adjusted_by_hand(checks, [], unseen, [GATE], settings).learnt == {}
+    assert (checks[0].confidence_interval, checks[0].contradicts) == (None, False)
+    assert counts_adjusted_by_manual_counts(checks, [], unseen, [GATE], settings).learnt == {}
     assert list(hand_lines(checks)) == [
         "gate 'far' (west), all from 0 s to 60 s: manual count 3, but no road user was ever detected near the gate: "
         "its counts stay unknown"

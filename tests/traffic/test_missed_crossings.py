@@ -37,7 +37,7 @@ def told(*tracks: Track) -> TrafficReport:
 
 def between(report: TrafficReport, direction: str, who: str = "vehicle") -> tuple[int, int] | None:
     (one,) = (one for one in report.counts_total if (one.direction, one.class_name) == (direction, who))
-    return None if one.expected is None else (one.expected.low, one.expected.high)
+    return None if one.confidence_interval is None else (one.confidence_interval.low, one.confidence_interval.high)
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_a_gate_that_nobody_was_ever_seen_near_has_no_count_that_is_known() -> N
     report = told(straight(1, (-90, 40), (5, 0), 6.0, begin_s=10.0))
     assert between(report, "west") is None
     assert any("gate 'g': no road user was ever detected near it" in line for line in report.notes)
-    assert all(one.expected is None for one in report.counts)
+    assert all(one.confidence_interval is None for one in report.counts)
 
 
 def seldom(every: int) -> Track:
@@ -178,4 +178,4 @@ def test_a_crossing_that_is_more_probably_none_is_not_counted() -> None:
     assert between(report, "west") is not None
     (total,) = (one for one in report.counts_total if (one.direction, one.class_name) == ("west", "vehicle"))
     assert total.count == 10
-    assert (total.expected.high if total.expected else 0) >= 11, "it may have been one"
+    assert (total.confidence_interval.high if total.confidence_interval else 0) >= 11, "it may have been one"

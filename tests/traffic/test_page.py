@@ -34,17 +34,17 @@ def test_it_says_what_the_tables_say() -> None:
     report = junction_report()
     page = traffic_page(report, tracks="runs/tracks")
     for one in report.counts_total:
-        assert one.expected
+        assert one.confidence_interval
         before = "" if one.class_name == "all" else "<td>.*?</td>"
-        cell = f"<td>{one.count} <small>{one.expected.low} to {one.expected.high}</small></td>"
+        cell = f"<td>{one.count} <small>{one.confidence_interval.low} to {one.confidence_interval.high}</small></td>"
         assert re.search(rf">{re.escape(side_name((one.gate, one.direction)))}</th>{before}{cell}", page)
     assert "from the west) to east (to the east): 7 (" in page  # the tip of a band
     assert page.count('class="flow ') == 4
     assert "2026-11-26 10:00:00 to 2026-11-26 10:05:00, Europe/Berlin" in page
     assert "No manual counts." in page
     (short,) = (one for one in report.lengths_total if (one.direction, one.bin_name) == ("to the east", "short"))
-    assert short.expected
-    row = f">{short.gate} ({short.direction})</th><td>{short.count} <small>{short.expected.low} to"
+    assert short.confidence_interval
+    row = f">{short.gate} ({short.direction})</th><td>{short.count} <small>{short.confidence_interval.low} to"
     assert row in page
     assert "no intervals above 12 m" in page
     for line in report.notes:

@@ -68,7 +68,7 @@ def test_a_row_for_each_interval_and_a_column_for_each_class() -> None:
         ["2", "1", "4.3"],
         ["0", "0", "0.0"],
     ]
-    expected = report.counts[0].expected
+    expected = report.counts[0].confidence_interval
     assert expected
     assert rows[0][1] == f"3 {expected.low} to {expected.high}"
     assert foot[0] == "whole footage"

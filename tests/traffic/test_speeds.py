@@ -116,7 +116,7 @@ def test_an_implausible_speed_is_in_no_percentile_and_no_braking_but_counts() ->
     plain = [straight(k, (-20, 0), (15.0 + 0.1 * k, 0), 6, begin_s=10.0 * k) for k in range(5)]
     odd = replace(straight(9, (-20, 0), (4.0, 0), 25, begin_s=60.0), flags=("implausible_speed",))
     crossed = gate_crossings([*plain, odd], [GATE, FAR_GATE], NO_LANES, SETTINGS)
-    assert sum(one.counts for one in crossed) == 12
+    assert sum(one.is_counted for one in crossed) == 12
     groups = speed_groups(crossed, section_passes(movements(crossed, SETTINGS)), [], watched(100))
     assert {(one.kind, one.number) for one in groups if one.class_name == "motor"} == {("spot", 5), ("section", 5)}
     x = np.cumsum(np.clip(15 - 6 * np.clip(np.arange(0, 6, 0.1) - 2, 0, None), 0, None)) * 0.1

@@ -518,7 +518,7 @@ def test_a_hand_count_gets_a_table_and_moves_intervals(skope: Skope, tracks: Ann
     assert [row["count"] for row in tables[0]] == [row["count"] for row in tables[1]]
     assert [row["count_high_90"] for row in tables[0]] != [row["count_high_90"] for row in tables[1]]
     python = door.measure_traffic("t", "site.toml", manual_count="h.csv")
-    assert [str(one.expected.high) for one in python.counts if one.expected] == [
+    assert [str(one.confidence_interval.high) for one in python.counts if one.confidence_interval] == [
         row["count_high_90"] for row in tables[0] if row["count_high_90"]
     ]
     code, _, err = skope("eval", "traffic", "t", "--out", "r")

@@ -122,7 +122,9 @@ def _write_summary(sheet: "Worksheet", report: TrafficReport, formats: _Formats)
         sheet.write_string(row, column, title, formats.head)
     for one in report.counts_total:
         row += 1
-        for column, value in enumerate((one.gate, one.direction, one.class_name, one.count, *in_cells(one.expected))):
+        for column, value in enumerate(
+            (one.gate, one.direction, one.class_name, one.count, *in_cells(one.confidence_interval))
+        ):
             _write_cell(sheet, row, column, value, formats)
     row += 2
     sheet.write_string(row, 0, "not measured, or to be distrusted", formats.head)

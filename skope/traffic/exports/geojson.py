@@ -100,7 +100,10 @@ def _totals(report: TrafficReport, gate: str) -> dict[str, Any]:
     totals: dict[str, dict[str, Any]] = {}
     for one in report.counts_total:
         if one.gate == gate:
-            totals.setdefault(one.direction, {})[one.class_name] = {"count": one.count, **in_json(one.expected)}
+            totals.setdefault(one.direction, {})[one.class_name] = {
+                "count": one.count,
+                **in_json(one.confidence_interval),
+            }
     return {"counts": totals, "from_left_to_right": direction_names(mark)[0]}
 
 

@@ -143,7 +143,7 @@ def _matrix(
 
     def cell(origin: GateDirection, destination: GateDirection) -> Cell:
         row = cells.get((origin, destination))
-        bounds = None if row is None or NO_GATE in (origin, destination) else in_words(row.expected)
+        bounds = None if row is None or NO_GATE in (origin, destination) else in_words(row.confidence_interval)
         return Cell(number(origin, destination), bounds)
 
     def total(side: GateDirection, value: int) -> object:
@@ -271,7 +271,7 @@ def _band(
     (cx, cy), (dx, dy) = _at(begin, inward), _at(end, inward)
     number = one.count or 0
     width = max(CHART_STYLE.thinnest_band, CHART_STYLE.widest_band * number / most)
-    tip = f"{_side(one.origin)} to {_side(one.destination)}: {number} ({in_words(one.expected)})"
+    tip = f"{_side(one.origin)} to {_side(one.destination)}: {number} ({in_words(one.confidence_interval)})"
     path = f"M{ax:.1f} {ay:.1f}C{cx:.1f} {cy:.1f} {dx:.1f} {dy:.1f} {bx:.1f} {by:.1f}"
     t = min(0.16 + 0.14 * rank, 0.8)
     weights = ((1 - t) ** 3, 3 * (1 - t) ** 2 * t, 3 * (1 - t) * t**2, t**3)

@@ -49,7 +49,7 @@ def count_text(row: Count) -> str:
 
 def with_interval(row: Count) -> Cell:
     """A count and its 90% interval below it."""
-    return Cell(count_text(row), in_words(row.expected) if row.count is not None else row.observed)
+    return Cell(count_text(row), in_words(row.confidence_interval) if row.count is not None else row.observed)
 
 
 def interval_label(report: TrafficReport, interval: ClockInterval) -> str:

@@ -83,7 +83,7 @@ def gates_in_picture(report: TrafficReport, picture: EmptyRoadPicture | None, ca
     drawn = {gate["gate"] for gate in view["gates"]}
     listed = [
         tag("b", letters[row.gate, row.direction])
-        + f" {side_name((row.gate, row.direction))}: {count_text(row)} ({in_words(row.expected)})"
+        + f" {side_name((row.gate, row.direction))}: {count_text(row)} ({in_words(row.confidence_interval)})"
         for row in totals
         if row.gate in drawn
     ]
@@ -104,7 +104,7 @@ def _gate(
     line = np.array(gate["line"]) * scale
     path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in line)
     tip = f"{gate['gate']}: " + "; ".join(
-        f"{row.direction} {count_text(row)} ({in_words(row.expected)})" for row in rows
+        f"{row.direction} {count_text(row)} ({in_words(row.confidence_interval)})" for row in rows
     )
     yield tag("path", d=path, class_="gate under")
     yield tag("path", d=path, class_="gate", data_tip=tip)

@@ -171,7 +171,7 @@ def _lengths(report: TrafficReport) -> list[Block]:
     """Return the table of vehicles by length, one row per gate and direction; empty if no length was measured."""
     cells: dict[tuple[str, str], list[Cell]] = {}
     for one in report.lengths_total:
-        bounds = None if one.bin_name == NO_BIN else in_words(one.expected)
+        bounds = None if one.bin_name == NO_BIN else in_words(one.confidence_interval)
         cells.setdefault((one.gate, one.direction), []).append(Cell("–" if one.count is None else one.count, bounds))
     if not any(one.count for one in report.lengths_total):
         return []
@@ -292,7 +292,14 @@ def _accuracy(report: TrafficReport) -> list[Block]:
             )
         )
         off = "–" if not hand.number else f"{100 * (one.count - hand.number) / hand.number:+.0f} %"
-        cells = (f"{begin} to {end}", str(hand.number), str(one.count), off, f"{one.geh:.1f}", in_words(one.expected))
+        cells = (
+            f"{begin} to {end}",
+            str(hand.number),
+            str(one.count),
+            off,
+            f"{one.geh:.1f}",
+            in_words(one.confidence_interval),
+        )
         rows.append([f"{hand.gate} ({hand.direction_name})", hand.class_name, *cells])
     if not rows:
         return [

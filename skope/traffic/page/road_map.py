@@ -162,7 +162,7 @@ def _gate(report: TrafficReport, frame: _Frame, name: str, line: Outline) -> Ite
     """Yield a gate, its name and its counts."""
     (ax, ay), (bx, by) = frame.points(line)
     told = [
-        (one.direction, one.count or 0, in_words(one.expected))
+        (one.direction, one.count or 0, in_words(one.confidence_interval))
         for one in report.counts_total
         if one.gate == name and one.class_name == ALL_CLASSES
     ]

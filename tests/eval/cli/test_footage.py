@@ -860,7 +860,7 @@ def test_a_turned_camera_goes_on_to_give_metres(skope: Any) -> None:
         assert ("from 2.1 s on the camera is turned (0.0" in out) == (name == "turned")
         rows[name] = {(row["track"], row["time_s"]): row for row in rows_of(Path(f"{name}/tracks.csv"))}
         watched[name] = read_observation(Path(name))
-    assert watched["turned"].moved_s == pytest.approx([1.8, 2.0])
+    assert watched["turned"].camera_moved_s == pytest.approx([1.8, 2.0])
     assert len(watched["turned"].spans) == 2
     assert watched["lost"].observed_s == pytest.approx(1.8)
     later = {key: row for key, row in rows["still"].items() if float(row["time_s"]) > 2.1}
