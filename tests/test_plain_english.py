@@ -26,6 +26,7 @@ GUIDES: Final = (
     "docs/evaluation.md",
     "docs/vehicles.md",
     "docs/scale.md",
+    "docs/results.md",
     "docs/traffic.md",
     "docs/traffic-files.md",
     "docs/hours-and-days.md",
