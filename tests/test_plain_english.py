@@ -27,6 +27,7 @@ GUIDES: Final = (
     "docs/vehicles.md",
     "docs/scale.md",
     "docs/results.md",
+    "docs/speed.md",
     "docs/traffic.md",
     "docs/traffic-files.md",
     "docs/hours-and-days.md",
