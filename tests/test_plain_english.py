@@ -28,6 +28,7 @@ GUIDES: Final = (
     "docs/scale.md",
     "docs/results.md",
     "docs/speed.md",
+    "docs/comparison.md",
     "docs/traffic.md",
     "docs/traffic-files.md",
     "docs/hours-and-days.md",
