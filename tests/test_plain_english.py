@@ -26,6 +26,14 @@ GUIDES: Final = (
     "docs/evaluation.md",
     "docs/vehicles.md",
     "docs/scale.md",
+    "docs/results.md",
+    "docs/speed.md",
+    "docs/comparison.md",
+    "docs/traffic.md",
+    "docs/traffic-files.md",
+    "docs/hours-and-days.md",
+    "docs/manual-counts.md",
+    "docs/how-counts-are-made.md",
 )
 """Pages that are checked. The others follow."""
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def read_site(path: str | Path) -> "SiteFile":
-    """Read a site file: camera, marks, gates, zones, lanes and settings (docs/traffic.md).
+    """Read a site file: camera, marks, gates, zones, lanes and settings (docs/own-road.md).
 
     Args:
         path: The .toml file, for example from `skope eval site`.
@@ -51,7 +51,8 @@ def measure_traffic(
             each, in their order. Default: from `footage.json`, the site file or the names of the footage.
         times_s: Times of all frames, seconds, for tracks in memory, including frames without tracks. Gaps between them
             are unobserved. Default: the times of `track` or `Video.tracks`.
-        manual_count: CSV file of manual counts (docs/traffic.md). They narrow the intervals; counts do not change.
+        manual_count: CSV file of manual counts (docs/manual-counts.md). They narrow the intervals; counts do not
+            change.
 
     Returns:
         The report with `crossings`, `visits`, `counts`, `turning`, `speeds`, `headways`, `queues`, `delays` and

@@ -38,7 +38,7 @@ class NetworkDefaults:
     too few for a queue at rush hour."""
     proposals: int = 300
     """Number of regions that the second stage examines. Of torchvision's own 1000 the others cost a third of the
-    time on a CPU and found no further vehicle (docs/results.md)."""
+    time on a CPU and found no further vehicle (docs/evidence/speed.md)."""
     pyramid_width: int = 256
     """Channels of the pyramid of torchvision's own model."""
     heads: tuple[int, int, int] = (8, 512, 1024)

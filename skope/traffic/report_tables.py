@@ -1,4 +1,4 @@
-"""Tables of a traffic report, column by column. docs/traffic.md describes the columns.
+"""Tables of a traffic report, column by column. docs/traffic-files.md describes the columns.
 
 Cells without a value are None or NaN, for example a count without observation or a time that was not seen. Speeds are
 in km/h, lengths in metres, times in seconds of the footage. Columns with times of day have the site's time with its UTC

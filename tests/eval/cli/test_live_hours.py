@@ -77,7 +77,7 @@ def test_hours_of_a_stream_make_one_report(skope: Skope, random_run: Path) -> No
     for k in range(2):
         code, _, err = skope("eval", "track", f"seen/{k}", "--out", f"tracking/{k}")
         assert code == 0, err
-        # Finished hours lie apart, as the loop in docs/traffic.md has it.
+        # Finished hours lie apart, as the loop in docs/hours-and-days.md has it.
         shutil.move(f"tracking/{k}", f"tracks/{k}")
         assert start_time_of(f"tracks/{k}/footage.json") == begin + timedelta(hours=k)
     assert skope("eval", "traffic", "tracks/0", "--site", "site.toml", "--out", "reports/0")[0] == 0
