@@ -26,6 +26,10 @@ GUIDES: Final = (
     "docs/evaluation.md",
     "docs/vehicles.md",
     "docs/scale.md",
+    "docs/from-camera-to-tracks.md",
+    "docs/how-a-camera-is-calibrated.md",
+    "docs/footage.md",
+    "docs/tracks.md",
 )
 """Pages that are checked. The others follow."""
 
