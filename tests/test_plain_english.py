@@ -30,6 +30,7 @@ GUIDES: Final = (
     "docs/how-a-camera-is-calibrated.md",
     "docs/footage.md",
     "docs/tracks.md",
+    "docs/conventions.md",
 )
 """Pages that are checked. The others follow."""
 
