@@ -31,6 +31,8 @@ GUIDES: Final = (
     "docs/footage.md",
     "docs/tracks.md",
     "docs/conventions.md",
+    "docs/architecture.md",
+    "docs/glossary.md",
 )
 """Pages that are checked. The others follow."""
 
