@@ -33,6 +33,7 @@ GUIDES: Final = (
     "docs/conventions.md",
     "docs/architecture.md",
     "docs/glossary.md",
+    "docs/rendering.md",
 )
 """Pages that are checked. The others follow."""
 
