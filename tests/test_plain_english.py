@@ -34,6 +34,8 @@ GUIDES: Final = (
     "docs/architecture.md",
     "docs/glossary.md",
     "docs/rendering.md",
+    "docs/formats.md",
+    "docs/method.md",
 )
 """Pages that are checked. The others follow."""
 
