@@ -34,6 +34,16 @@ GUIDES: Final = (
     "docs/hours-and-days.md",
     "docs/manual-counts.md",
     "docs/how-counts-are-made.md",
+    "docs/from-camera-to-tracks.md",
+    "docs/how-a-camera-is-calibrated.md",
+    "docs/footage.md",
+    "docs/tracks.md",
+    "docs/conventions.md",
+    "docs/architecture.md",
+    "docs/glossary.md",
+    "docs/rendering.md",
+    "docs/formats.md",
+    "docs/method.md",
 )
 """Pages that are checked. The others follow."""
 

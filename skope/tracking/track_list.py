@@ -80,7 +80,7 @@ class Tracks(list[Track]):
     def to_csv(self, path: str | Path) -> None:
         """Write tracks.csv as `skope eval track` does: one row per track and frame.
 
-        docs/from-camera-to-tracks.md explains the columns.
+        docs/tracks.md explains the columns.
 
         Raises:
             UserError: The file cannot be written.

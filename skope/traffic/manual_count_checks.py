@@ -232,9 +232,9 @@ def hand_lines(checks: Sequence[ManualCountComparison]) -> Iterator[str]:
         elif one.contradicts:
             yield (
                 f"{where}: manual count {hand.number}, skope {one.count}, expected "
-                f"{in_words(one.confidence_interval)}: they contradict each other; check gate, direction, class and clock "
-                "of the manual count, or the gate is "
-                "unusual; intervals at this gate include both, and other gates do not use this manual count"
+                f"{in_words(one.confidence_interval)}: they contradict each other; check gate, direction, class and "
+                "clock of the manual count, or the gate is unusual; intervals at this gate include both, and other "
+                "gates do not use this manual count"
             )
 
 

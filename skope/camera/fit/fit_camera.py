@@ -50,7 +50,7 @@ class CameraSearch:
     """Difference of the unknowns below which two cameras are one."""
     sigma_factor: float = 1.5
     """Factor of standard deviations over those that differences between vehicles give. With it and the two floors
-    below, 95% intervals cover 95% of generated cameras (docs/from-camera-to-tracks.md)."""
+    below, 95% intervals cover 95% of generated cameras (docs/evidence/how-a-camera-is-calibrated.md)."""
     focal_floor: float = 0.03
     """Minimum relative standard deviation of the focal length, for any number of vehicles."""
     first_steps: int = 10
