@@ -1,7 +1,7 @@
-"""Cache on disk of built towns and vehicles and of light, for other processes and later runs.
+"""Disk cache of built towns, vehicles and light, for other processes and later runs.
 
-Files are named by a digest of everything that they depend on, written beside their place and renamed into it, and the
-longest unused ones of a kind go when there are too many.
+Each file is named by a digest of everything that its content depends on. It is written under a temporary name and then
+renamed. If the files of a kind become too large, those that were not used for the longest time are removed.
 """
 
 import contextlib
@@ -26,33 +26,33 @@ Arrays = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class CacheLimits:
-    """Size and age of the cache."""
+    """Limits of the cache."""
 
     most_bytes: int = 2 * 1024**3
-    """Largest size of the cache of each kind, bytes."""
+    """Maximum size of the cache of each kind, bytes."""
     day_s: float = 86400.0
-    """Seconds of a day."""
+    """Age above which unfinished files are removed, seconds (one day)."""
 
 
 CACHE_LIMITS: Final = CacheLimits()
 
 CACHED_SOURCES: Final = (".py", ".toml", ".xml", ".glsl")
 CACHED_LIBRARIES: Final = ("numpy", "shapely", "sumolib", "fast-simplification")
-"""Libraries that meshes are built with; another version of one makes the cache invalid."""
+"""Libraries that build the meshes; cached files of other versions are not used."""
 
 
 def cache_folder() -> Path:
-    """$SKOPE_CACHE, or skope's folder in the user's cache."""
-    own, users = os.environ.get("SKOPE_CACHE"), os.environ.get("XDG_CACHE_HOME")
-    return Path(own) if own else (Path(users) if users else Path.home() / ".cache") / "skope"
+    """Return $SKOPE_CACHE, or skope's folder in the user's cache."""
+    folder, user_folder = os.environ.get("SKOPE_CACHE"), os.environ.get("XDG_CACHE_HOME")
+    return Path(folder) if folder else (Path(user_folder) if user_folder else Path.home() / ".cache") / "skope"
 
 
 def cached(kind: str, digest: str, make: Callable[[], Arrays]) -> Arrays:
-    """The arrays of a kind stored under `digest`, or those of `make`, stored for the next time where that is possible.
+    """Return the arrays of a kind that are stored under `digest`, or make and store them.
 
-    Of processes that want the same at once, one makes it and the others wait.
+    If several processes request the same arrays at once, one makes them and the others wait.
     """
-    path = _place(kind, digest)
+    path = _path_of(kind, digest)
     stored = _load(path)
     if stored is None:
         with _alone(path):
@@ -63,54 +63,54 @@ def cached(kind: str, digest: str, make: Callable[[], Arrays]) -> Arrays:
 def cached_from_parts(
     kind: str, digest: str, parts: Sequence[Callable[[], Arrays]], join: Callable[[Sequence[Arrays]], Arrays]
 ) -> Arrays:
-    """As `cached`, made of the arrays of all `parts` by `join`.
+    """Return arrays as `cached` does; if they are not stored, `join` makes them from the arrays of all `parts`.
 
-    Processes that want the same at once share the parts out among them.
+    If several processes request the same arrays at once, they share the parts.
     """
-    path = _place(kind, digest)
-    places = [_place(f"{kind}-part", f"{digest}_{k}") for k in range(len(parts))]
+    path = _path_of(kind, digest)
+    part_paths = [_path_of(f"{kind}-part", f"{digest}_{k}") for k in range(len(parts))]
     done: dict[int, Arrays] = {}
-    # First entries without a lock, then those of other processes, which may have been killed.
+    # First the parts that no other process makes. Then the parts of other processes, which may have been killed.
     for patient in (False, True):
         for k in sorted(set(range(len(parts))) - done.keys()):
-            with _alone(places[k], patient=patient) as alone:
+            with _alone(part_paths[k], patient=patient) as alone:
                 if alone:
                     stored = _load(path)
                     if stored is not None:
-                        _remove_all(places)  # what was made here since others ended
+                        _remove_all(part_paths)  # another process has finished meanwhile
                         return stored
-                    done[k] = _loaded_or_made(places[k], parts[k])
+                    done[k] = _loaded_or_made(part_paths[k], parts[k])
     whole = cached(kind, digest, lambda: join([done[k] for k in range(len(parts))]))
-    _remove_all(places)
+    _remove_all(part_paths)
     return whole
 
 
-def _remove_all(places: Sequence[Path]) -> None:
-    for place in places:
-        _remove(place)
+def _remove_all(paths: Sequence[Path]) -> None:
+    for path in paths:
+        _remove(path)
 
 
-def _place(kind: str, digest: str) -> Path:
+def _path_of(kind: str, digest: str) -> Path:
     return cache_folder() / f"{kind}_{digest}.npz"
 
 
 def _loaded_or_made(path: Path, make: Callable[[], Arrays]) -> Arrays:
     stored = _load(path)
     if stored is None:
-        # In the order in memory that a file gives, or what is computed with it may differ in the last digit.
+        # Arrays from a file are contiguous. Another memory layout could change the last digit of computed results.
         stored = {name: np.ascontiguousarray(array) for name, array in make().items()}
         _store(path, stored)
     return stored
 
 
 def digest_of(*parts: str) -> str:
-    """A digest of `parts` and of the generator's sources and libraries: a name for what the cache keeps of them."""
+    """Return a digest of `parts` and of the generator's sources and libraries, which names files in the cache."""
     return hashlib.sha256("\n".join([_program_digest(), *parts]).encode()).hexdigest()[:24]
 
 
 @cache
 def _program_digest() -> str:
-    """Digest of the generator's source files and of the versions of the libraries that meshes are built with."""
+    """Return a digest of the generator's source files and of the versions of the libraries that build the meshes."""
     digest = hashlib.sha256("\n".join(f"{name} {version(name)}" for name in CACHED_LIBRARIES).encode())
     root = Path(__file__).parents[1]
     files = [*root.glob("*.py"), *(path for path in (root / "gen").rglob("*") if path.suffix in CACHED_SOURCES)]
@@ -120,17 +120,17 @@ def _program_digest() -> str:
 
 
 def _load(path: Path) -> Arrays | None:
-    # Absent, or damaged in one of numpy's and zip's many ways.
+    # The file may be missing or damaged; numpy and zipfile raise various exceptions.
     with contextlib.suppress(Exception), np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
-        with contextlib.suppress(OSError):  # what others own can be read all the same
+        with contextlib.suppress(OSError):  # a file of another user can be read, but not touched
             path.touch()
         return arrays
     return None
 
 
 def _store(path: Path, arrays: Arrays) -> None:
-    with contextlib.suppress(UserError, OSError):  # a cache that cannot be written is no cache
+    with contextlib.suppress(UserError, OSError):  # without write permission, nothing is cached
         with replacing(path) as temporary, temporary.open("wb") as out:
             np.savez(out, **arrays)  # type: ignore[arg-type]
         _shrink(path)
@@ -138,9 +138,10 @@ def _store(path: Path, arrays: Arrays) -> None:
 
 @contextlib.contextmanager
 def _alone(path: Path, *, patient: bool = True) -> Iterator[bool]:
-    """Keep other processes from building the same file, where the file system has locks.
+    """Prevent other processes from building the same file, if the file system has locks.
 
-    False where another process is building it and this one is not `patient`.
+    Yields:
+        Whether this process may build it. False if another process is building it and `patient` is false.
     """
     lock = path.with_suffix(".lock")
     alone = True
@@ -162,7 +163,7 @@ def _remove(path: Path) -> None:
 
 
 def _shrink(newest: Path) -> None:
-    """Remove the longest unused files of the newest one's kind, and what killed processes left of it."""
+    """Remove the least recently used files of the kind of `newest`, and unfinished files of killed processes."""
     kind = newest.name.split("_")[0]
     for left in newest.parent.glob(f".{kind}_*.part*"):
         if time.time() - left.stat().st_mtime > CACHE_LIMITS.day_s:

@@ -39,9 +39,9 @@ class SiteLimits:
     """Limits of a user's own site."""
 
     seen_within_m: float = 150.0
-    """Largest distance of a lane in the image for a camera to count as looking at a road, metres."""
+    """Maximum distance of visible lanes, metres; a camera must see at least one lane within it."""
     highest_road_m: float = 5.0
-    """Largest height of the road above or below 0, metres: heights are to be counted from about the road."""
+    """Maximum height of the road above or below 0, metres. Heights are meant to be relative to the road."""
 
 
 SITE_LIMITS: Final = SiteLimits()
@@ -51,20 +51,20 @@ PHOTOGRAPH_CONDITIONS: Final[Mapping[str, Range]] = {
     "vignetting": (0.0, 0.0),
     "noise": (0.5, 1.5),
 }
-"""Ranges of conditions before a photograph, which shows its own exposure, vignetting and noise already."""
+"""Ranges of conditions in front of a photograph, which already contains exposure, vignetting and noise."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OwnSite:
-    """A user's own site, as its file describes it."""
+    """A user's own site, as described by its file."""
 
     path: Path
     site: Site
     splits: tuple[str, ...]
-    """Split of each recording, in their order; empty where the file leaves that to the preset."""
+    """Split of each recording, in their order; empty if the file does not set them."""
     digests: Mapping[str, str]
     """Digests of the site file ("site") and of the files that it names, by their keys."""
-    said: tuple[str, ...]
+    messages: tuple[str, ...]
     """Messages for the user about the site file."""
 
     @property
@@ -73,14 +73,15 @@ class OwnSite:
         return self.site.road
 
     def with_recordings(self, count: int) -> Self:
-        """The site with `count` recordings, the last one in the split `test`, unless its file names the splits."""
+        """Return the site with `count` recordings; the last is in the split `test`, unless the file sets the splits."""
         return replace(self, splits=self.splits or ("train",) * max(1, count - 1) + ("test",))
 
 
 def own_site(field: str, text: str) -> OwnSite | None:
-    """The user's own site where `text` is a site file, None where it is the name of a site of the package.
+    """Return the user's own site if `text` is a site file; None if it is the name of a site of the package.
 
-    Raises UserError, which begins with `field`, where it is neither or both; or as `read_site` does.
+    Raises:
+        UserError: It is neither or both (the message begins with `field`), or as for `read_generation_site`.
     """
     path = Path(text)
     if text not in sites():
@@ -107,8 +108,8 @@ def read_generation_site(path: Path) -> OwnSite:
         raise table.wrong("name", f"expected up to 40 letters, digits and _, got {name!r}")
     background = table.file("background")
     picture = _picture_size(table, background)
-    own = read_site_camera(table.table("camera"), picture)
-    camera = own.camera
+    site_camera = read_site_camera(table.table("camera"), picture)
+    camera = site_camera.camera
     if picture and abs(picture[0] * camera.height / (picture[1] * camera.width) - 1) > 0.01:
         raise table.wrong(
             "background", f"is {picture[0]}x{picture[1]}, but the camera {camera.width}x{camera.height}: other shapes"
@@ -147,11 +148,11 @@ def read_generation_site(path: Path) -> OwnSite:
     )
     files = {"site": path, **table.files}
     digests = {key: hashlib.sha256(read_bytes(file)).hexdigest()[:24] for key, file in files.items()}
-    said = (
-        *([f"{path.name}: camera: {own.said}"] if own.said else []),
+    messages = (
+        *([f"{path.name}: camera: {site_camera.said}"] if site_camera.said else []),
         *(f"{path.name}: {key}: unknown; not used" for key in parts.unknown),
     )
-    return OwnSite(path=path, site=site, splits=splits, digests=digests, said=said)
+    return OwnSite(path=path, site=site, splits=splits, digests=digests, messages=messages)
 
 
 # -------------------------------------------------------------------------------------------------------------- pieces
@@ -191,7 +192,7 @@ def _network(table: TomlTable) -> bytes:
 
 
 def _origin(table: TomlTable, path: Path) -> tuple[float, float]:
-    """Latitude and longitude of the world's origin; the middle of the map's nodes unless given."""
+    """Return latitude and longitude of the world's origin. Default: the middle of the map's nodes."""
     if "origin" in table:
         latitude, longitude = table.numbers("origin", 2)
         return latitude, longitude
@@ -221,7 +222,7 @@ def _occluder(row: TomlTable, camera: Camera, level: float) -> Occluder:
 
 
 def _shade(table: TomlTable, camera: Camera) -> PixelOutline:
-    """The outline of a shadow, all of it on the ground."""
+    """Return the outline of a shadow; raise a UserError if it is not completely on the ground."""
     outline = read_outline(table)
     table.done()
     rays, valid = camera.rays(outline)
@@ -231,7 +232,7 @@ def _shade(table: TomlTable, camera: Camera) -> PixelOutline:
 
 
 def _light(table: TomlTable) -> tuple[str, str, dict[str, Range]]:
-    """Weather, hour, and where the sun stands if that is known."""
+    """Return weather, hour, and the position of the sun if it is known."""
     weather, sun = table.text("weather", "clear"), {}
     if "when" in table:
         when = table.value("when")
@@ -271,7 +272,7 @@ def _conditions(table: TomlTable) -> dict[str, Range]:
 
 
 def _traffic(table: TomlTable, road: OwnRoad, graph: RoadGraph) -> tuple[float, str]:
-    """Vehicles per hour, and the text of a route file in place of them; 0 or "" for the one that is not given."""
+    """Return the vehicles per hour or the text of a route file; the other one is 0 or empty."""
     path = table.file("flows")
     if path is None:
         seen = graph.seen_by(road.camera, SITE_LIMITS.seen_within_m)
@@ -305,7 +306,7 @@ def _splits(table: TomlTable) -> tuple[str, ...]:
 
 
 def _checked_graph(table: TomlTable, road: OwnRoad) -> RoadGraph:
-    """The graph of the road. Raises UserError where style, camera and road do not make a picture."""
+    """Return the graph of the road; raise a UserError if style, camera and road do not fit together."""
     camera = road.camera
     if camera.distortion.model != "none":
         try:
@@ -318,7 +319,7 @@ def _checked_graph(table: TomlTable, road: OwnRoad) -> RoadGraph:
         raise table.wrong("style", str(error)) from None
     try:
         graph = RoadGraph.of(Town.of(road))
-    except Exception as error:  # parsers raise many exception types for files that are no network
+    except Exception as error:  # parsers raise various exceptions for files that are not networks
         raise table.wrong("network", f"not a SUMO network: {error}") from None
     if not graph.edges:
         x, y, _ = camera.position

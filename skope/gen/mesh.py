@@ -1,4 +1,4 @@
-"""Triangle meshes with a material per triangle, and the few shapes that everything here is made of."""
+"""Triangle meshes with a material per triangle, and the basic shapes that models and scenery are built from."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from skope.types import Array
 
 FEW_TRIANGLES: Final = 500
-"""Triangles that are not worth simplifying."""
+"""Number of triangles below which a mesh is not simplified."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +20,7 @@ class Mesh:
     vertices: Array
     """(V, 3) metres."""
     normals: Array
-    """(V, 3) unit vectors; a hard edge has its vertices twice."""
+    """(V, 3) unit vectors; vertices on a hard edge are duplicated."""
     triangles: NDArray[np.int64]
     """(T, 3) vertex indices."""
     materials: tuple[str, ...]
@@ -29,7 +29,7 @@ class Mesh:
     """(T,) index into `materials`."""
 
     def moved(self, offset: ArrayLike, yaw: float = 0.0) -> "Mesh":
-        """The mesh turned about z by `yaw` radians, then shifted."""
+        """Return the mesh rotated about z by `yaw` radians, then shifted."""
         c, s = np.cos(yaw), np.sin(yaw)
         R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
         return Mesh(
@@ -37,16 +37,16 @@ class Mesh:
         )
 
     def mirrored(self) -> "Mesh":
-        """The mesh reflected left to right (y -> -y), still counter-clockwise from outside."""
+        """Return the mesh mirrored left to right (y -> -y), still counter-clockwise seen from outside."""
         flip = np.array([1.0, -1.0, 1.0])
         return Mesh(self.vertices * flip, self.normals * flip, self.triangles[:, ::-1], self.materials, self.material)
 
     def taken(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> "Mesh":
-        """The mesh with some of its triangles, by index, in that order, or by a mask."""
+        """Return the mesh with some of its triangles, selected by indices (in their order) or by a mask."""
         return Mesh(self.vertices, self.normals, self.triangles[chosen], self.materials, self.material[chosen])
 
     def to_arrays(self, name: str) -> dict[str, NDArray[Any]]:
-        """Arrays to be stored in a file: one for each field, called `name` and the field's name."""
+        """Return arrays to be stored in a file, one per field; their names are `name`, an underscore and the field."""
         fields = {
             "vertices": self.vertices,
             "normals": self.normals,
@@ -58,14 +58,14 @@ class Mesh:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], name: str) -> "Mesh":
-        """The mesh that `to_arrays` wrote under `name`."""
+        """Return the mesh that `to_arrays` stored under `name`."""
         vertices, normals, triangles, material, materials = (
             arrays[f"{name}_{field}"] for field in ("vertices", "normals", "triangles", "material", "materials")
         )
         return cls(vertices, normals, triangles, tuple(materials.tolist()), material)
 
     def by_material(self) -> dict[str, "Mesh"]:
-        """One mesh per material, in the order of `materials`, with unused vertices left out."""
+        """Return one mesh per material, in the order of `materials`, without unused vertices."""
         out = {}
         for i, name in enumerate(self.materials):
             chosen = self.triangles[self.material == i]
@@ -79,18 +79,18 @@ class Mesh:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross products of vectors (N, 3); for a few of them many times as fast as `np.cross`."""
+    """Return cross products of vectors (N, 3); for small N many times faster than `np.cross`."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def numbered_rows(rows: Array, decimals: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Numbers of rows (N, C), the same for those that are equal when rounded to decimals, in the rows' order.
+    """Number rows (N, C) in sorted order; rows that are equal after rounding to `decimals` get the same number.
 
-    As `np.unique` along an axis gives them, but it compares rows bytewise, which takes ten times as long.
+    The result is that of `np.unique` along an axis, which takes ten times as long because it compares rows bytewise.
 
     Returns:
-        (N,) number of each row; (U,) the first row that has each number.
+        (N,) number of each row; (U,) index of the first row with each number.
     """
     cells = np.rint(np.asarray(rows) * 10.0**decimals).astype(np.int64)
     cells -= cells.min(axis=0, initial=0)
@@ -141,13 +141,13 @@ def simplified(mesh: Mesh, share: float) -> Mesh:
 
 
 def _proper(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(T,) which triangles have three different corners."""
+    """Return the indices of the triangles with three different corners."""
     a, b, c = triangles.T
     return np.flatnonzero((a != b) & (b != c) & (c != a))
 
 
 def _fins(points: Array, triangles: NDArray[np.int64], material: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-    """Triangles upright on the edges that only one triangle of a material has, and their apexes."""
+    """Return triangles perpendicular to the surface, on edges that belong to one triangle of a material; and apexes."""
     edges = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     owner = np.repeat(np.arange(len(triangles)), 3)
     key = np.column_stack([np.sort(edges, axis=1), material[owner]])
@@ -163,7 +163,7 @@ def _fins(points: Array, triangles: NDArray[np.int64], material: NDArray[np.int6
 
 
 def merged(meshes: Iterable[Mesh]) -> Mesh:
-    """All triangles of several meshes in one."""
+    """Return one mesh with all triangles of several meshes."""
     parts = list(meshes)
     names = tuple(dict.fromkeys(name for part in parts for name in part.materials))
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
@@ -177,7 +177,7 @@ def merged(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def from_triangles(vertices: ArrayLike, triangles: ArrayLike, material: str) -> Mesh:
-    """A smooth mesh of one material; normals are the area-weighted means of the triangles around each vertex."""
+    """Return a smooth mesh of one material; normals are area-weighted means of the triangles around each vertex."""
     v = np.asarray(vertices, dtype=np.float64)
     t = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
     face = cross(v[t[:, 1]] - v[t[:, 0]], v[t[:, 2]] - v[t[:, 0]])
@@ -190,9 +190,9 @@ def from_triangles(vertices: ArrayLike, triangles: ArrayLike, material: str) -> 
 
 
 def grid(points: ArrayLike, cells: Sequence[Sequence[str]]) -> Mesh:
-    """A smooth surface over a grid of points (R, C, 3) with a material name for each of its (R-1, C-1) cells.
+    """Return a smooth surface over a grid of points (R, C, 3) with a material name for each of its (R-1, C-1) cells.
 
-    Counter-clockwise seen from where rows go up and columns go right.
+    Its front is the side from which rows run upwards and columns to the right.
     """
     p = np.asarray(points, dtype=np.float64)
     rows, columns = p.shape[:2]
@@ -206,7 +206,7 @@ def grid(points: ArrayLike, cells: Sequence[Sequence[str]]) -> Mesh:
 
 
 def flat(polygons: Iterable[ArrayLike], material: str) -> Mesh:
-    """Convex planar polygons (N, 3) each, counter-clockwise from outside, with hard edges between them."""
+    """Return a mesh of convex planar polygons (N, 3), counter-clockwise from outside, with hard edges between them."""
     parts = []
     for polygon in polygons:
         p = np.asarray(polygon, dtype=np.float64)
@@ -233,7 +233,7 @@ def quads(corners: ArrayLike, material: str) -> Mesh:
 
 
 def box(low: ArrayLike, high: ArrayLike, material: str) -> Mesh:
-    """An axis-aligned box between two corners."""
+    """Return an axis-aligned box between two corners."""
     (x0, y0, z0), (x1, y1, z1) = np.asarray(low, float), np.asarray(high, float)
     faces = [
         [(x0, y0, z0), (x0, y1, z0), (x1, y1, z0), (x1, y0, z0)],
@@ -247,12 +247,12 @@ def box(low: ArrayLike, high: ArrayLike, material: str) -> Mesh:
 
 
 def lathe(profile: ArrayLike, materials: Sequence[str], sides: int, axis: str) -> Mesh:
-    """Turn a profile about an axis; where it rises along the axis, the surface faces outward.
+    """Return the surface of a profile rotated about an axis; segments that rise along the axis face outwards.
 
     Args:
-        profile: (N, 2) places along the axis and radii, metres.
-        materials: N - 1 materials, one of each segment.
-        sides: Sides of the polygon that stands for a circle.
+        profile: (N, 2) positions along the axis and radii, metres.
+        materials: N - 1 materials, one per segment.
+        sides: Number of sides of the polygon that approximates a circle.
         axis: "y" or "z".
     """
     p = np.asarray(profile, dtype=np.float64)
@@ -264,25 +264,25 @@ def lathe(profile: ArrayLike, materials: Sequence[str], sides: int, axis: str) -
         u, w = radius * np.cos(angle), radius * np.sin(angle)
         points = np.stack([u, w, along] if axis == "z" else [w, along, u], axis=-1)
         ring = grid(points, [[material] * sides])
-        # At a pole half of the triangles have no area.
+        # At a pole, half of the triangles have no area.
         poles = np.arange(2 * sides) % 2 == (1 if r1 < 1e-9 else 0 if r0 < 1e-9 else 2)
         parts.append(ring.taken(~poles))
     return merged(parts)
 
 
 def tube(path: ArrayLike, radii: Sequence[float], material: str, sides: int) -> Mesh:
-    """A round pipe, open at both ends.
+    """Return a round pipe, open at both ends.
 
     Args:
-        path: (N, 3) points of its middle, metres.
-        radii: Radius at each of them, metres.
+        path: (N, 3) points on its centre line, metres.
+        radii: Radius at each point, metres.
         material: Its material.
-        sides: Sides of the polygon that stands for a circle.
+        sides: Number of sides of the polygon that approximates a circle.
     """
     p = np.asarray(path, dtype=np.float64)
     along = np.gradient(p, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    # A pipe bends little enough here that one direction is across all of it.
+    # Pipes bend so little that one direction is perpendicular to all of their segments.
     chord = p[-1] - p[0]
     side = np.cross(chord, np.eye(3)[np.abs(chord).argmin()])
     u = np.cross(side, along)

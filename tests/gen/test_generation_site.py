@@ -198,7 +198,7 @@ def test_the_fallback_renderer_shows_the_photograph(made: Recording) -> None:
 
 
 def request(own: OwnSite, preset: str = "demo", **values: object) -> DatasetRequest:
-    return from_preset(preset, seed=0, renderer="gl", driver="", rules=Rules(), own=own, **values)
+    return from_preset(preset, seed=0, renderer="gl", driver="", rules=Rules(), user_site=own, **values)
 
 
 def test_recordings_of_a_site_are_for_training_but_one(own: OwnSite) -> None:
@@ -408,7 +408,7 @@ def test_cameras_in_all_ways_are_the_same_camera(tmp_path: Path) -> None:
         (tmp_path / "site.toml").write_text(toml(values))
         read = read_generation_site(tmp_path / "site.toml")
         np.testing.assert_allclose(read.road.camera.project(ground)[0], own.project(ground)[0], atol=0.01)
-        assert bool(read.said) == ("points" in way)
+        assert bool(read.messages) == ("points" in way)
 
 
 def test_what_evaluating_needs_of_a_site_file_does_generating_no_harm(tmp_path: Path) -> None:
@@ -420,7 +420,7 @@ def test_what_evaluating_needs_of_a_site_file_does_generating_no_harm(tmp_path: 
     shared["plan"] = {"file": "not_there.png", "metres_per_pixel": 0.1, "origin": [0, 0]}
     (tmp_path / "site.toml").write_text(toml({**BASE, **shared, "camera": camera}))
     read = read_generation_site(tmp_path / "site.toml")
-    assert read.said == ("site.toml: gates[1].colour: unknown; not used",)
+    assert read.messages == ("site.toml: gates[1].colour: unknown; not used",)
     (tmp_path / "site.toml").write_text(toml({**BASE, "gates": [{**gate, "line": [[0, 0]]}]}))
     with pytest.raises(UserError, match=r"site.toml: gates\[1\].line: expected two or more"):
         read_generation_site(tmp_path / "site.toml")

@@ -131,9 +131,9 @@ class Look:
             out.append(choices[which])
         return tuple(out)  # type: ignore[return-value]
 
-    def digit(self, place: int, choices: int) -> int:
-        """Return a number below `choices` that is derived from the palette; each `place` gives a different number."""
-        number: int = int(self.palette) // (3375 * 7**place)
+    def digit(self, index: int, choices: int) -> int:
+        """Return a number below `choices` that is derived from the palette; each `index` gives a different number."""
+        number: int = int(self.palette) // (3375 * 7**index)
         return number % choices
 
 

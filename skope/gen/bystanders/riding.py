@@ -51,8 +51,8 @@ class RiderPosture:
 RIDER_POSTURE: Final = RiderPosture()
 
 _FRONT_WHEEL, _REAR = 0.54, -0.50
-CRANK_PLACE: Final = np.array([-0.06, 0.0, 0.28])
-HIP_PLACE: Final = np.array([-0.20, 0.0, 0.94])
+CRANK_POSITION: Final = np.array([-0.06, 0.0, 0.28])
+HIP_POSITION: Final = np.array([-0.20, 0.0, 0.94])
 HELMET_COLORS: Final = ("#dddddd", "#222233", "#aa2222", "#ddaa33", "#334466")
 _MOTOR_HIP: Final = {_ROADSTER: (-0.20, 0.0, 0.88), _SCOOTER: (-0.24, 0.0, 0.86), _TOURER: (-0.22, 0.0, 0.88)}
 PEG_PLACES: Final = {_ROADSTER: (-0.06, 0.17, 0.36), _SCOOTER: (0.16, 0.12, 0.33), _TOURER: (-0.14, 0.17, 0.38)}
@@ -68,9 +68,9 @@ def bicycle(look: Look) -> tuple[Mesh, ...]:
     usual, scale = replace(look, height=RIDER_POSTURE.usual_height_m), look.height / RIDER_POSTURE.usual_height_m
     racing = int(look.machine) == _RACING
     bar = np.array([0.40, 0.0, 0.92 if racing else 1.04])
-    shoulder = HIP_PLACE + ([0.46, 0.0, 0.30] if racing else [0.26, 0.0, 0.43])
+    shoulder = HIP_POSITION + ([0.46, 0.0, 0.30] if racing else [0.26, 0.0, 0.43])
     parts = _frame(look, bar) + upper_body(
-        usual, HIP_PLACE, shoulder, bar + [0.04 if racing else -0.06, 0.24, 0.02], 1.0
+        usual, HIP_POSITION, shoulder, bar + [0.04 if racing else -0.06, 0.24, 0.02], 1.0
     )
     neck = shoulder + [0.07, 0.0, 0.01]
     if look.helmet > 0.5:
@@ -103,11 +103,11 @@ def _frame(look: Look, bar: Array) -> list[Mesh]:
     front, rear = np.array([_FRONT_WHEEL, 0, RIDER_POSTURE.wheel_m]), np.array([_REAR, 0, RIDER_POSTURE.wheel_m])
     parts = [
         tube([a, b], (0.018, 0.018), paint, 6)
-        for a, b in ((CRANK_PLACE, seat), (seat, stem), (CRANK_PLACE, low), (low, stem))
+        for a, b in ((CRANK_POSITION, seat), (seat, stem), (CRANK_POSITION, low), (low, stem))
     ]
     for side in (-0.05, 0.05):
         aside = np.array([0, side, 0])
-        parts += [tube([end, rear + aside], (0.012, 0.010), paint, 5) for end in (CRANK_PLACE, seat * [1, 1, 0.92])]
+        parts += [tube([end, rear + aside], (0.012, 0.010), paint, 5) for end in (CRANK_POSITION, seat * [1, 1, 0.92])]
         parts.append(tube([low, low + aside - [0, 0, 0.02], front + aside], (0.016, 0.014, 0.012), paint, 5))
     grip = bar + ([0.05, 0, 0.0] if int(look.machine) == _RACING else [-0.08, 0, 0.0])
     parts += [
@@ -176,11 +176,13 @@ def pedalling(look: Look, travelled: float, speed: float) -> Array:
     wheels = [turn_about(-turn, (x, 0.0, RIDER_POSTURE.wheel_m)) for x in (_FRONT_WHEEL, _REAR)]
     ankles = []
     for side, phase in ((-1, angle), (1, angle + np.pi)):
-        pedal = CRANK_PLACE + RIDER_POSTURE.crank_m * np.array([np.sin(phase), 0.0, -np.cos(phase)])
+        pedal = CRANK_POSITION + RIDER_POSTURE.crank_m * np.array([np.sin(phase), 0.0, -np.cos(phase)])
         ankles.append(pedal + [-0.03, side * 0.115, SOLE_SHARE * RIDER_POSTURE.usual_height_m + 0.01])
     ankles[1] = _foot_down(ankles[1], np.array([-0.02, 0.30, SOLE_SHARE * RIDER_POSTURE.usual_height_m]), speed)
-    thighs, shins = _legs(usual, HIP_PLACE, 0.08, ankles)
-    T = np.stack([*wheels, *thighs, *shins, turn_about(angle, (CRANK_PLACE[0], CRANK_PLACE[1], CRANK_PLACE[2]))])
+    thighs, shins = _legs(usual, HIP_POSITION, 0.08, ankles)
+    T = np.stack(
+        [*wheels, *thighs, *shins, turn_about(angle, (CRANK_POSITION[0], CRANK_POSITION[1], CRANK_POSITION[2]))]
+    )
     T[:, :3, 3] *= scale
     return T
 
@@ -262,11 +264,11 @@ def _fairing(paint: str) -> list[Mesh]:
 
 def _pillion(look: Look, hip: Array) -> list[Mesh]:
     """Build a passenger behind the rider."""
-    other = replace(look, height=min(look.height, 1.68), palette=float(int(look.palette) // 7))
-    h = other.height
+    passenger = replace(look, height=min(look.height, 1.68), palette=float(int(look.palette) // 7))
+    h = passenger.height
     shoulder = hip + np.array([0.06, 0.0, 0.48]) * h / RIDER_POSTURE.usual_height_m
-    parts = upper_body(other, hip, shoulder, hip + [0.26, 0.17, 0.16], 0.2)
-    *_, bottom, shoes = other.colors()
+    parts = upper_body(passenger, hip, shoulder, hip + [0.26, 0.17, 0.16], 0.2)
+    *_, bottom, shoes = passenger.colors()
     for side in (-1, 1):
         joint, ankle = hip + [0.0, side * 0.10, 0.0], np.array([hip[0] + 0.12, side * 0.19, 0.46])
         knee = hip + [0.36, side * 0.17, -0.10]

@@ -185,8 +185,10 @@ def walked(look: Look, travelled: float, speed: float) -> Array:
     """Return the poses (6, 4, 4) of a walker's arms and legs; each arm swings with the opposite leg."""
     h, g = look.height, look.girth
     held = ARM_ANGLES.get(load_of(look), (None, None))
-    legs = [angle for angle, _ in leg_angles(look, travelled, speed)]
+    thigh_angles = [angle for angle, _ in leg_angles(look, travelled, speed)]
     shoulder, arms = 0.102 * h * g + 0.012 * h, []
-    for side, angle, leg in zip((-1, 1), held, reversed(legs), strict=True):
-        arms.append(turn_about(0.85 * leg if angle is None else angle, (0.0, side * shoulder, SHOULDER_HEIGHT * h)))
+    for side, angle, thigh_angle in zip((-1, 1), held, reversed(thigh_angles), strict=True):
+        arms.append(
+            turn_about(0.85 * thigh_angle if angle is None else angle, (0.0, side * shoulder, SHOULDER_HEIGHT * h))
+        )
     return np.concatenate([np.stack(arms), stepping(look, travelled, speed)])

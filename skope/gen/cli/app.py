@@ -128,9 +128,9 @@ def gen(
     from skope.gen.pipeline.generate import generate_dataset
 
     request, why = dataset.request()
-    start_pool, who = workers.pool_factory()
+    start_pool, worker_text = workers.pool_factory()
     expected = estimate(request, Store(out), workers.count()).line
-    _announce(console, request, f"{who}, {why}")
+    _announce(console, request, f"{worker_text}, {why}")
     if dry_run:
         console.result(expected)
         return
@@ -147,8 +147,8 @@ def simulate(dataset: DatasetOptions, workers: WorkerOptions, console: Console, 
     from skope.gen.pipeline.generate import simulate_dataset
 
     request, _ = dataset.request()
-    start_pool, who = workers.pool_factory()
-    _announce(console, request, who)
+    start_pool, worker_text = workers.pool_factory()
+    _announce(console, request, worker_text)
     made = simulate_dataset(request, out, start_pool, console)
     _next(console, out, "wrote the recordings of" if made else "", f"skope gen render {shlex.quote(str(out))}")
 
@@ -170,17 +170,17 @@ def render(
     _next(console, dataset, "wrote" if made else "", f"skope train{_data(dataset)} --epochs 10")
 
 
-def _announce(console: Console, request: "DatasetRequest", who: str) -> None:
-    own, parameters = request.own, request.parameters
-    for line in own.said if own else ():
+def _announce(console: Console, request: "DatasetRequest", worker_text: str) -> None:
+    user_site, parameters = request.user_site, request.parameters
+    for line in user_site.messages if user_site else ():
         console.say(line)
     plans = request.plans()
-    source = str(own.path) if own else f"preset {parameters.preset}"
+    source = str(user_site.path) if user_site else f"preset {parameters.preset}"
     places = f"{counted(len(parameters.sites), 'site')} in {counted(len(plans), 'recording')}"
     images = f"{counted(request.images, 'image')} of {parameters.size}"
-    console.say(f"{source}: {images} from {places}, seed {parameters.seed}, {who}")
+    console.say(f"{source}: {images} from {places}, seed {parameters.seed}, {worker_text}")
     longest = max(plan.frames for plan in plans)
-    if longest > LONG_RECORDING and not (own and own.road.photograph):
+    if longest > LONG_RECORDING and not (user_site and user_site.road.photograph):
         console.say(f"{longest} frames in a row have one weather and light: --recordings shares them out to several")
 
 
@@ -210,14 +210,14 @@ def doctor(
         else nullcontext()
     )
     with shown as drawn:
-        for one in examine(drawn):
-            found.append(one)
+        for status in examine(drawn):
+            found.append(status)
             if not json:
-                console.result(f"{'ok ' if one.works else 'NOT'} {one.part:<18} {one.text}")
-    broken = [one.part for one in found if not one.works]
+                console.result(f"{'ok ' if status.works else 'NOT'} {status.part:<18} {status.text}")
+    broken = [status.part for status in found if not status.works]
     if json:
         where = str(pictures) if pictures else None
-        console.document({"works": not broken, "parts": [asdict(one) for one in found], "pictures": where})
+        console.document({"works": not broken, "parts": [asdict(status) for status in found], "pictures": where})
     else:
         if pictures:
             console.result(f"wrote what the renderers drew to {pictures}")

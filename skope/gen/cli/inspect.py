@@ -72,8 +72,10 @@ def check(
         start_pool, _ = WorkerOptions(workers=workers).pool_factory()
         mend(folder, findings, start_pool, replace(console, quiet=console.quiet or json))
     if json:
-        told = {"against": str(against), "differences": found} if against else {"findings": list(map(asdict, findings))}
-        console.document({"dataset": str(dataset), **told, "repaired": repaired})
+        results = (
+            {"against": str(against), "differences": found} if against else {"findings": list(map(asdict, findings))}
+        )
+        console.document({"dataset": str(dataset), **results, "repaired": repaired})
     elif repaired:
         console.result(f"repaired {dataset}; next: skope gen check {shlex.quote(str(dataset))}")
     if found and not repaired:
@@ -99,8 +101,8 @@ def stats(
         with _look(folder, "stats", plots, flag="--plots") as temporary:
             drawn = str(plots / plot(folder, temporary).name)
     if json:
-        told = {split: numbers.to_dict() for split, numbers in splits.items()}
-        console.document({"dataset": str(dataset), "splits": told, "plots": drawn})
+        statistics = {split: numbers.to_dict() for split, numbers in splits.items()}
+        console.document({"dataset": str(dataset), "splits": statistics, "plots": drawn})
     elif drawn:
         console.result(f"wrote {drawn}")
 
@@ -129,7 +131,7 @@ def show(
 ) -> None:
     """Draw labels on images: keypoints by default, other layers on request."""
     from skope.dataset.folder import open_dataset
-    from skope.gen.inspect.overlays import LAYER_NAMES, one_image, sheets
+    from skope.gen.inspect.overlays import LAYER_NAMES, sheets, write_overlay
 
     flags = (keypoints, boxes_3d, mask, depth, occlusion)
     layers = [name for name, wanted in zip(LAYER_NAMES, flags, strict=True) if wanted] or ["keypoints"]
@@ -137,7 +139,7 @@ def show(
     out = out or _named(SHEETS_FOLDER, dataset)
     with _look(folder, "show", out, options={"layers": layers}) as drawn:
         if image is not None:
-            paths = [one_image(folder, image, layers, drawn)]
+            paths = [write_overlay(folder, image, layers, drawn)]
         else:
             names = sites.split(",") if sites is not None else [None]
             paths = [path for name in names for path in sheets(folder, name, layers, drawn)]
@@ -230,7 +232,7 @@ def video(
     from skope.gen.scene.package_versions import versions
 
     chosen, driver, _ = choose_renderer(renderer)
-    own = own_site("SITE", site)
+    user_site = own_site("SITE", site)
     request = from_preset(
         "demo",
         seed=seed,
@@ -238,13 +240,13 @@ def video(
         driver=driver,
         rules=Rules(),
         frames=1,
-        own=own,
-        sites=None if own else (site,),
-        size=None if own else size,
-        fov_deg=None if own else fov,
+        user_site=user_site,
+        sites=None if user_site else (site,),
+        size=None if user_site else size,
+        fov_deg=None if user_site else fov,
         road_users=road_users,
     )
-    plan = plan_of(request.plans()[0], fps, seconds, f"{own.path}: camera.size" if own else "--size")
+    plan = plan_of(request.plans()[0], fps, seconds, f"{user_site.path}: camera.size" if user_site else "--size")
     here = replace(
         plan.site,
         weather=weather or plan.site.weather,
@@ -253,7 +255,7 @@ def video(
     )
     ranges(here.weather, here.time_of_day)  # knows their names
     options = {
-        "site": sha256_of(own.path) if own else site,
+        "site": sha256_of(user_site.path) if user_site else site,
         "fps": fps,
         "seconds": seconds,
         "size": request.parameters.size,

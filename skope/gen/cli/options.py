@@ -181,10 +181,10 @@ class DatasetOptions:
 
         if self.site is not None and self.sites is not None:
             raise UserError(f"--site: {self.site} already names the site; omit --sites")
-        own = own_site("--site", self.site) if self.site is not None else None
-        if own and self.fov is not None:
-            raise UserError(f"--site: {own.path} has a camera of its own; omit --fov")
-        sites = self.sites if own or self.site is None else self.site
+        user_site = own_site("--site", self.site) if self.site is not None else None
+        if user_site and self.fov is not None:
+            raise UserError(f"--site: {user_site.path} has a camera of its own; omit --fov")
+        sites = self.sites if user_site or self.site is None else self.site
         chosen, driver, why = choose_renderer(self.renderer)
         wanted = from_preset(
             self.preset,
@@ -215,7 +215,7 @@ class DatasetOptions:
             road_users=self.road_users,
             format=self.format,
             licence=named(self.licence),
-            own=own,
+            user_site=user_site,
             camera_jitter=self.camera_jitter,
         )
         return wanted, why

@@ -27,13 +27,13 @@ def sites(
 ) -> None:
     """List the camera sites: town, height above the road, pitch, split, and view. Draw plans of their towns."""
     if site:
-        told, lines = _own_road(site, out)
+        document, lines = _own_road(site, out)
     elif maps:
-        told, lines = _plans(out or SITE_PLANS / "towns", console if not json else Console(quiet=True))
+        document, lines = _plans(out or SITE_PLANS / "towns", console if not json else Console(quiet=True))
     else:
-        told, lines = _table()
+        document, lines = _table()
     if json:
-        console.document(told)
+        console.document(document)
         return
     for line in lines:
         console.result(line)
@@ -46,16 +46,16 @@ def _table() -> tuple[dict[str, Any], list[str]]:
 
     found = [
         {
-            "name": one.name,
+            "name": site.name,
             "town": town.name,
-            "height_m": float(one.position[2] - layout.road_below(one)),
-            "pitch_deg": float(one.pitch_deg),
-            "split": one.split,
-            "sees": one.sees,
+            "height_m": float(site.position[2] - layout.road_below(site)),
+            "pitch_deg": float(site.pitch_deg),
+            "split": site.split,
+            "sees": site.sees,
         }
         for town in towns()
         for layout in [Layout.of(town)]
-        for one in layout.sites
+        for site in layout.sites
     ]
     rows = [
         [row["name"], row["town"], f"{row['height_m']:.1f} m", f"{row['pitch_deg']:.0f}°", row["split"], row["sees"]]
@@ -87,8 +87,8 @@ def _own_road(path: Path, out: Path | None) -> tuple[dict[str, Any], list[str]]:
     from skope.gen.towns.road_graph import RoadGraph
     from skope.pictures import draw
 
-    own = read_generation_site(path)
-    road, graph = own.road, RoadGraph.of(own.site.town)
+    user_site = read_generation_site(path)
+    road, graph = user_site.road, RoadGraph.of(user_site.site.town)
     camera = road.camera
     height = float(camera.position[2] - graph.road_level(camera.position[:2]))
     out = out or SITE_PLANS / road.title
@@ -96,18 +96,18 @@ def _own_road(path: Path, out: Path | None) -> tuple[dict[str, Any], list[str]]:
     with replaceable_output(out, "skope gen sites --site", path) as drawn:
         draw.write(drawn / picture.name, draw_lanes(road))
     traffic = "left" if graph.mirrored else "right"
-    told = {
+    document = {
         "site": road.title,
         "size": [camera.width, camera.height],
         "height_m": height,
-        "pitch_deg": float(own.site.pitch_deg),
+        "pitch_deg": float(user_site.site.pitch_deg),
         "traffic": traffic,
-        "notes": list(own.said),
+        "notes": list(user_site.messages),
         "picture": str(picture),
     }
     summary = (
         f"{road.title}: {camera.width}x{camera.height}, {height:.1f} m over the road, "
-        f"{own.site.pitch_deg:.0f} degrees down, traffic on the {traffic}; wrote {picture}; "
+        f"{user_site.site.pitch_deg:.0f} degrees down, traffic on the {traffic}; wrote {picture}; "
         f"next: skope gen --site {path}"
     )
-    return told, [*own.said, summary]
+    return document, [*user_site.messages, summary]

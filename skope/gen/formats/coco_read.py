@@ -169,12 +169,12 @@ def vehicle_of_row(
         points[~inside | (points[:, 2] <= 0)] = 0
         box = box_of_row(row.get("bbox"), points, image)
         fields = {name: row[name] for name in PLAIN_FIELDS if row.get(name) is not None}
-        told = attributes_of(row)
-        if told.get("ignore_reason"):
-            told["iscrowd"] = 1
+        attributes = attributes_of(row)
+        if attributes.get("ignore_reason"):
+            attributes["iscrowd"] = 1
         if label.vehicle_type is not None:
-            told.setdefault("vehicle_type", label.vehicle_type)
-        fields = {**(row if ours else fields), **told, "bbox": box, "keypoints": points}
+            attributes.setdefault("vehicle_type", label.vehicle_type)
+        fields = {**(row if ours else fields), **attributes, "bbox": box, "keypoints": points}
         fields |= {"category_id": schema.CATEGORY_ID, "id": 0}  # ids are given anew
         vehicle = cut_to(image, coco.annotation_from_dict(fields))
     if vehicle is None:
@@ -265,10 +265,16 @@ def road_user_of(
     """
     with telling(where):
         fields = {name: row[name] for name in PLAIN_FIELDS if row.get(name) is not None}
-        told = {name: value for name, value in attributes_of(row).items() if name in ("track_id", "ignore_reason")}
-        if told.get("ignore_reason"):
-            told["iscrowd"] = 1
-        fields = {**(row if ours else fields), **told, "bbox": box_of_row(row.get("bbox"), np.zeros((K, 3)), image)}
+        attributes = {
+            name: value for name, value in attributes_of(row).items() if name in ("track_id", "ignore_reason")
+        }
+        if attributes.get("ignore_reason"):
+            attributes["iscrowd"] = 1
+        fields = {
+            **(row if ours else fields),
+            **attributes,
+            "bbox": box_of_row(row.get("bbox"), np.zeros((K, 3)), image),
+        }
         fields |= {"category_id": schema.CATEGORY_NAMES.index(category) + 1, "id": 0}  # ids are given anew
         user = cut_to(image, coco.road_user_from_dict(fields))
     if user is None:
@@ -314,9 +320,9 @@ def read(
         with open_source(source) as files:
             for file in annotation_sources(source, files, form, split, console):
                 stated[file.licence] = None
-                labels, others = vehicle_categories(file, console), road_user_categories(file, console)
+                labels, user_categories = vehicle_categories(file, console), road_user_categories(file, console)
                 scheme = next(iter(labels.values())).scheme
-                categories = schema.checked_categories([*schema.VEHICLE_ALONE, *others.values()])
+                categories = schema.checked_categories([*schema.VEHICLE_ALONE, *user_categories.values()])
                 writer = writer or FolderWriter(root, scheme, categories)
                 if categories != writer.categories:
                     raise UserError(
@@ -328,7 +334,7 @@ def read(
                     raise UserError(
                         f"{file.path}: has keypoints of scheme {scheme.name}, the others of {writer.scheme.name}"
                     )
-                _add(file, files, labels, others, importer, writer, console)
+                _add(file, files, labels, user_categories, importer, writer, console)
     remarks.say(console)
     if len(stated) > 1:
         raise UserError(f"files under different licences ({'; '.join(sorted(stated))}): import them separately")
@@ -343,23 +349,23 @@ def _add(
     file: AnnotationSource,
     files: Files,
     labels: Mapping[int, Label],
-    others: Mapping[int, str],
+    user_categories: Mapping[int, str],
     importer: ImageImporter,
     writer: FolderWriter,
     console: Console,
 ) -> None:
     """Write the images, vehicles and other road users of an annotation file in `files`."""
-    own: dict[int, list[tuple[int, Mapping[str, Any]]]] = {row["id"]: [] for row in file.document["images"]}
+    rows_by_image: dict[int, list[tuple[int, Mapping[str, Any]]]] = {row["id"]: [] for row in file.document["images"]}
     for i, row in enumerate(file.document["annotations"]):
-        if row["image_id"] not in own:
+        if row["image_id"] not in rows_by_image:
             raise UserError(f"{file.path}: annotations[{i}]: image_id {row['image_id']} is not among the images")
-        own[row["image_id"]].append((i, row))
+        rows_by_image[row["image_id"]].append((i, row))
     called = {category["id"]: str(category.get("name")) for category in file.document["categories"]}
     for id_, image in importer.images(file, files, console):
         vehicles, road_users = [], []
-        for i, row in own[id_]:
+        for i, row in rows_by_image[id_]:
             where, label = f"{file.path}: annotations[{i}]", labels.get(row["category_id"])
-            if category := others.get(row["category_id"]):
+            if category := user_categories.get(row["category_id"]):
                 user = road_user_of(where, row, category, image, importer.remarks, ours=file.ours)
                 road_users += [user] if user is not None else []
                 continue

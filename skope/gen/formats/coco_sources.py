@@ -137,11 +137,11 @@ def _image_folders(inside: Sequence[str], stem: str, *, alone: bool) -> tuple[st
 
     A subset's own folder is first, since subsets may have images of equal names.
     """
-    own = "/".join(inside)
+    subset_folder = "/".join(inside)
     bare = file_name_rules.bare_stem(stem)
     near = [f"images/{stem}/", f"{stem}/", f"images/{bare}/", f"{bare}/", "", "images/"]
-    if own and own != _ANNOTATION_FOLDER:
-        near = [f"{own}/", f"{own}/images/", *near]
+    if subset_folder and subset_folder != _ANNOTATION_FOLDER:
+        near = [f"{subset_folder}/", f"{subset_folder}/images/", *near]
     return tuple(dict.fromkeys([*near, *(f"../{folder}" for folder in near if alone)]))
 
 
@@ -258,10 +258,10 @@ class ImageImporter:
             UserError: An image is missing or listed twice, or its size differs from that of its file.
         """
         found = self._locate(file, files)
-        places = file_name_rules.places([one.name for one in found])
+        places = file_name_rules.places([source.name for source in found])
         _tell_places(file, found, places, console)
-        for one, place in zip(console.bar(found, unit="image", label=file.split), places, strict=True):
-            yield one.row["id"], self._image(one, place, file, files)
+        for source, place in zip(console.bar(found, unit="image", label=file.split), places, strict=True):
+            yield source.row["id"], self._image(source, place, file, files)
 
     def _locate(self, file: AnnotationSource, files: Files) -> list[ImageSource]:
         among = self.given or files
@@ -274,8 +274,8 @@ class ImageImporter:
             if not path:
                 raise UserError(f"{where}: file_name: {self._not_found(stated, name, among)}")
             if path in taken:
-                other = "" if taken[path] == stated else f" ({path} is {taken[path]} too)"
-                raise UserError(f"{where}: file_name: {stated} is a duplicate{other}")
+                detail = "" if taken[path] == stated else f" ({path} is {taken[path]} too)"
+                raise UserError(f"{where}: file_name: {stated} is a duplicate{detail}")
             taken[path] = stated
             if ending != name:
                 self.remarks.add("image", "found by the end of the name", f"{stated} as {ending}")
@@ -307,27 +307,29 @@ class ImageImporter:
             )
         return f"no {stated} in {among.where}, nor below its images/; give the folder of the images with --images"
 
-    def _image(self, one: ImageSource, place: Place, file: AnnotationSource, files: Files) -> ImportedImage:
+    def _image(self, source: ImageSource, place: Place, file: AnnotationSource, files: Files) -> ImportedImage:
         row = (
-            {**one.row} if file.ours else {name: one.row[name] for name in ("id", "width", "height") if name in one.row}
+            {**source.row}
+            if file.ours
+            else {name: source.row[name] for name in ("id", "width", "height") if name in source.row}
         )
         if not (file.ours and row.get("site") is not None):
             row |= {"site": place.site, "recording": self._recording(place, file), "frame_index": place.frame}
-        with telling(one.where):
-            image = coco.image_from_dict({**row, "file_name": one.name})
-        content = (self.given or files).find(one.path)
+        with telling(source.where):
+            image = coco.image_from_dict({**row, "file_name": source.name})
+        content = (self.given or files).find(source.path)
         if content is None:
-            raise UserError(f"{one.where}: file_name: no {one.path}")
+            raise UserError(f"{source.where}: file_name: no {source.path}")
         header = read_header(content)
         turned = None
         if header is not None:
-            image = self._checked(one.where, image, header, ours=file.ours)
+            image = self._checked(source.where, image, header, ours=file.ours)
             turned = header if header.turned and self.stored_pixels else None
         if isinstance(content, Path):
-            other = self._splits.setdefault(str(content), file.split)
-            if other != file.split:
-                self.remarks.add("image", f"in split {file.split} and in {other}", one.where)
-        name = self._free_name(bare_name(one.name), file)
+            first_split = self._splits.setdefault(str(content), file.split)
+            if first_split != file.split:
+                self.remarks.add("image", f"in split {file.split} and in {first_split}", source.where)
+        name = self._free_name(bare_name(source.name), file)
         contents: dict[str, Path | bytes] = {name: content}
         depth = None
         if image.depth_file_name is not None:
@@ -344,10 +346,10 @@ class ImageImporter:
             raise UserError(
                 f"{where}: --stored-pixels: labels of skope's own files are in the pixels of the image as shown"
             )
-        expected, other = header.shown, header.stored
+        expected, alternative = header.shown, header.stored
         if self.stored_pixels:
-            expected, other = other, expected
-        if stated not in (expected, other):
+            expected, alternative = alternative, expected
+        if stated not in (expected, alternative):
             self.remarks.add("picture", "of another size than the file states (`skope gen check` lists them)", where)
             return image
         if stated != expected:
@@ -365,10 +367,10 @@ class ImageImporter:
 
     def _recording(self, place: Place, file: AnnotationSource) -> str:
         """Return the name of an image's recording, unique to its file: each file numbers its tracks separately."""
-        whose = file.path, place.film
+        owner = file.path, place.film
         wanted = place.recording or file.name
         number, name = 1, wanted
-        while self._recordings.setdefault((place.site, name), whose) != whose:
+        while self._recordings.setdefault((place.site, name), owner) != owner:
             number += 1
             name = f"{wanted}_{number}"
         return name
@@ -387,7 +389,7 @@ def _tell_places(
     file: AnnotationSource, found: Sequence[ImageSource], places: Sequence[Place], console: Console
 ) -> None:
     """Report the interpretation of file names, if the file does not specify it."""
-    guessed = [place for one, place in zip(found, places, strict=True) if not (file.ours and one.row.get("site"))]
+    guessed = [place for source, place in zip(found, places, strict=True) if not (file.ours and source.row.get("site"))]
     sites = [*dict.fromkeys(place.site for place in guessed if place.site is not None)]
     if sites:
         shown = ", ".join(sites[:3]) + (f" and {len(sites) - 3} more" if len(sites) > 3 else "")

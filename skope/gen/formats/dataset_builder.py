@@ -47,15 +47,15 @@ def labelled_frame(
         road_users: Its labels of people on foot and on two wheels.
     """
     known = schema.CATEGORY_ID
-    own = [each if each.category_id == known else replace(each, category_id=known) for each in vehicles]
-    ignored = Counter(vehicle.ignore_reason or "unnamed" for vehicle in own if vehicle.ignored)
+    annotations = [each if each.category_id == known else replace(each, category_id=known) for each in vehicles]
+    ignored = Counter(vehicle.ignore_reason or "unnamed" for vehicle in annotations if vehicle.ignored)
     contents = {name: _in_memory(content) for name, content in files.items()}
-    told = sums or {}
+    known_sums = sums or {}
     labels = Labels(
         name=str(PurePosixPath(*PurePosixPath(image.file_name).parts[1:]).with_suffix("")),
         image=coco.image_to_dict(replace(image, split=split)),
-        **label_fields(own, road_users),
-        sha256={name: told.get(name) or _sum_of(content) for name, content in contents.items()},
+        **label_fields(annotations, road_users),
+        sha256={name: known_sums.get(name) or _sum_of(content) for name, content in contents.items()},
         tally={"ignored": dict(ignored)},
     )
     return FrameFiles(contents, labels)

@@ -53,7 +53,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
     distorted = 0
     for split in dataset.splits:
         file = dataset.read(split)
-        own = file.labels_by_image()
+        labels_by_image = file.labels_by_image()
         folder, index = out / split, []
         for number, image in enumerate(console.bar(file.images, unit="image", label=f"writing {split}")):
             where = f"{dataset.root}: {split}: image {image.id}"
@@ -62,7 +62,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
             distorted += image.camera.distortion.model != "none"
             suffix = PurePosixPath(image.file_name).suffix
             place_file(dataset.root / image.file_name, folder / "image_2" / f"{number:06d}{suffix}")
-            labels, rotations = _labels(where, own[image.id], image.camera)
+            labels, rotations = _labels(where, labels_by_image[image.id], image.camera)
             texts = {
                 "label_2": "".join(labels),
                 "rotation": "".join(rotations),
@@ -95,10 +95,10 @@ def levelling(plane: Array) -> Array:
     return np.asarray(np.eye(3) + cross + cross @ cross / (1 + cosine))
 
 
-def _labels(where: str, own: Sequence[Annotation | RoadUser], camera: Camera) -> tuple[list[str], list[str]]:
+def _labels(where: str, road_users: Sequence[Annotation | RoadUser], camera: Camera) -> tuple[list[str], list[str]]:
     """Return a row of labels and a row of rotations per road user; an ignored road user becomes a DontCare region."""
     labels, rotations = [], []
-    for vehicle in own:
+    for vehicle in road_users:
         box_2d = " ".join(f"{v:.2f}" for v in boxes.xywh_to_xyxy(vehicle.bbox))
         if vehicle.ignored:
             labels.append(DONT_CARE.format(box_2d) + "\n")

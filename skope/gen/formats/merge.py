@@ -78,10 +78,10 @@ def _opened(sources: Sequence[Path], out: Path) -> list[Dataset]:
     check_outside(out, sources)
     datasets = [dataset_at(source) for source in sources]
     first = datasets[0]
-    for other in datasets[1:]:
-        if other.scheme is not first.scheme:
+    for dataset in datasets[1:]:
+        if dataset.scheme is not first.scheme:
             raise UserError(
-                f"{other.root}: has keypoint scheme {other.scheme.name}, {first.root} has {first.scheme.name}"
+                f"{dataset.root}: has keypoint scheme {dataset.scheme.name}, {first.root} has {first.scheme.name}"
             )
     return datasets
 
@@ -116,8 +116,8 @@ def _write_images(
             images = console.bar(file.images, unit="image", label=f"{dataset.root.resolve().name}: {split}")
             writer.add(split, _frames(dataset, split, file, images, names, sums, taken))
         names.close(dataset)
-        for whose, count in twice.items():
-            console.say(f"{dataset.root}: {count} recordings are duplicates of recordings of {whose}")
+        for other_root, count in twice.items():
+            console.say(f"{dataset.root}: {count} recordings are duplicates of recordings of {other_root}")
     return names, left_out
 
 
@@ -131,14 +131,14 @@ def _source_row(dataset: Dataset, names: "_Sites") -> dict[str, Any]:
     }
 
 
-def _check_categories(where: Path, has: Sequence[str], whose: Path, wanted: Sequence[str]) -> None:
-    """Raise a UserError if a dataset labels other categories than the first dataset (`whose`).
+def _check_categories(where: Path, has: Sequence[str], first_root: Path, wanted: Sequence[str]) -> None:
+    """Raise a UserError if a dataset labels other categories than the first dataset (at `first_root`).
 
     People that one dataset shows and does not label would count as background.
     """
     if tuple(has) != tuple(wanted):
         raise UserError(
-            f"{where}: labels {', '.join(has)}, {whose} labels {', '.join(wanted)}: "
+            f"{where}: labels {', '.join(has)}, {first_root} labels {', '.join(wanted)}: "
             "objects that one does not label would count as background; --vehicles-alone leaves those labels out"
         )
 
@@ -154,23 +154,23 @@ class _Sites:
 
     def check(self, dataset: Dataset, split: str, file: AnnotationFile) -> None:
         """Name the sites of a split; raise a UserError for a site that another dataset has in another split."""
-        own = self._named.setdefault(dataset.root, {})
+        new_names = self._named.setdefault(dataset.root, {})
         for site in dict.fromkeys(image.site for image in file.images if image.site is not None):
             uses = self._splits.setdefault(site, {})
-            for whose, splits in uses.items():
-                if whose != dataset.root and splits != {split}:
+            for other_root, splits in uses.items():
+                if other_root != dataset.root and splits != {split}:
                     raise UserError(
                         f"{dataset.root}: site {site} is in split {split}, and in {', '.join(sorted(splits))} of "
-                        f"{whose}: if it is one camera, test images would be training data; if there are two, give "
-                        "one of them another name"
+                        f"{other_root}: if it is one camera, test images would be training data; if there are two, "
+                        "give one of them another name"
                     )
             uses.setdefault(dataset.root, set()).add(split)
-            if site not in own:
+            if site not in new_names:
                 number, name = 1, site
-                while name in self._taken or name in own.values():
+                while name in self._taken or name in new_names.values():
                     number += 1
                     name = f"{site}_{number}"
-                own[site] = name
+                new_names[site] = name
 
     def close(self, dataset: Dataset) -> None:
         """Reserve the names of a dataset's sites, after its last split."""
@@ -203,21 +203,21 @@ def _twice(dataset: Dataset, split: str, file: AnnotationFile, begun: dict[str, 
     Raises:
         UserError: The other dataset has the recording in another split.
     """
-    own = file.by_image()
+    annotations_by_image = file.by_image()
     for images in recordings(file):
-        first = next((image for image in images if own[image.id]), None)
+        first = next((image for image in images if annotations_by_image[image.id]), None)
         if first is None:
             continue
         digest = sha256(shards.read(dataset.root / first.file_name)).hexdigest()
-        whose, of = begun.setdefault(digest, (dataset.root, split))
-        if whose == dataset.root:
+        other_root, of = begun.setdefault(digest, (dataset.root, split))
+        if other_root == dataset.root:
             continue
         if of != split:
             raise UserError(
-                f"{dataset.root}: {first.file_name} is in split {split}, the same image in {of} of {whose}: "
+                f"{dataset.root}: {first.file_name} is in split {split}, the same image in {of} of {other_root}: "
                 "test images would be training data"
             )
-        yield whose
+        yield other_root
 
 
 def _frames(
@@ -233,12 +233,12 @@ def _frames(
 
     `sums` are checksums by current names.
     """
-    own, others = file.by_image(), file.road_users_by_image()
+    annotations_by_image, road_users_by_image = file.by_image(), file.road_users_by_image()
     for image in images:
         new, files = _rename(image, names, dataset, taken)
         known = {name: sums[path] for name, path in files.items() if path in sums}
         contents = {name: dataset.root / path for name, path in files.items()}
-        yield labelled_frame(split, new, own[image.id], contents, known, others[image.id])
+        yield labelled_frame(split, new, annotations_by_image[image.id], contents, known, road_users_by_image[image.id])
 
 
 def _rename(image: Image, names: _Sites, dataset: Dataset, taken: set[str]) -> tuple[Image, dict[str, str]]:
@@ -268,9 +268,9 @@ def _rename(image: Image, names: _Sites, dataset: Dataset, taken: set[str]) -> t
 
 def _fleet(datasets: Sequence[Dataset]) -> dict[str, object]:
     """Return the card's field `fleet` if all datasets have one; a model is held out if all datasets hold it out."""
-    told = [dataset.card.get("fleet") for dataset in datasets]
-    if not all(isinstance(fleet, dict) and {"held_out", "substituted"} <= fleet.keys() for fleet in told):
+    fleets = [dataset.card.get("fleet") for dataset in datasets]
+    if not all(isinstance(fleet, dict) and {"held_out", "substituted"} <= fleet.keys() for fleet in fleets):
         return {}
-    held_out = set.intersection(*(set(fleet["held_out"]) for fleet in told if fleet))
-    substituted = {model: names for fleet in told if fleet for model, names in fleet["substituted"].items()}
+    held_out = set.intersection(*(set(fleet["held_out"]) for fleet in fleets if fleet))
+    substituted = {model: names for fleet in fleets if fleet for model, names in fleet["substituted"].items()}
     return {"fleet": {"held_out": sorted(held_out), "substituted": substituted}}

@@ -23,7 +23,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
     names = set[str]()
     for split in console.bar(dataset.splits, unit="split", label="writing mot"):
         file = dataset.read(split)
-        own = file.labels_by_image()
+        labels_by_image = file.labels_by_image()
         for images in recordings(file):
             name = "_".join(part for part in (images[0].site, images[0].recording) if part) or "site_00"
             while f"{split}/{name}" in names:  # a_b of site c, and b of site c_a
@@ -33,10 +33,12 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
             for frame, image in enumerate(images, start=1):
                 suffix = PurePosixPath(image.file_name).suffix
                 place_file(dataset.root / image.file_name, out / split / name / "img1" / f"{frame:06d}{suffix}")
-                rows += [_row(f"{dataset.root}: {split}", frame, label) for label in own[image.id]]
+                rows += [_row(f"{dataset.root}: {split}", frame, label) for label in labels_by_image[image.id]]
             write_text(out / split / name / "gt" / "gt.txt", "".join(rows))
             if len(file.categories) > 1:
-                write_text(out / split / name / "gt" / "labels.txt", "".join(f"{one}\n" for one in CATEGORY_NAMES))
+                write_text(
+                    out / split / name / "gt" / "labels.txt", "".join(f"{category}\n" for category in CATEGORY_NAMES)
+                )
             write_text(out / split / name / "seqinfo.ini", _information(name, images))
 
 

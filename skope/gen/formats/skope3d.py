@@ -45,7 +45,7 @@ ARCHIVE_CORNERS: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3))
 """(8, 3) corners of the unit box, in the order of exported archives: back before front, right before left, below before
 above."""
 
-NO_PLACE: Final = -1.0
+UNKNOWN_PIXEL: Final = -1.0
 
 
 # ---------------------------------------------------------------------------------------------------------- importing
@@ -83,10 +83,10 @@ def read(
     for path in console.bar(archives(sources), unit="scene", label="reading scenes"):
         with opened(path) as archive:
             scene = scene_of(archive)
-            told = _places(path.parent / SCENES_FILE)
-            place = told.get(scene.name, ScenePlace("train", scene.name, "00"))
+            known_scenes = _places(path.parent / SCENES_FILE)
+            place = known_scenes.get(scene.name, ScenePlace("train", scene.name, "00"))
             # Scenes that skope exported are not the published data and have their own licence.
-            licences.add(licence_beside(path.parent) if scene.name in told else SKOPE3D_LICENCE)
+            licences.add(licence_beside(path.parent) if scene.name in known_scenes else SKOPE3D_LICENCE)
             place = replace(place, split=split) if split else place
             if (place.site, place.recording) in seen:
                 raise UserError(f"{path}: {scene.name} is in {seen[place.site, place.recording]} too")
@@ -134,8 +134,8 @@ def _add_scene(
             )
             done, data = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 95])
             assert done
-            own = [_annotation(vehicle, width, height, names) for vehicle in scene.vehicles(frame)]
-            vehicles = [vehicle for vehicle in own if vehicle is not None]
+            annotations = [_annotation(vehicle, width, height, names) for vehicle in scene.vehicles(frame)]
+            vehicles = [vehicle for vehicle in annotations if vehicle is not None]
             frame_files = labelled_frame(place.split, image, vehicles, {image.file_name: data.tobytes()})
             writer.add(place.split, [frame_files])
     finally:
@@ -178,7 +178,7 @@ def _annotation(vehicle: ArchiveVehicle, width: int, height: int, names: Mapping
         mapped = np.zeros_like(points)
         mapped[list(names.values())] = points[list(names)]
         points = mapped
-    known = not (vehicle.corners == NO_PLACE).all()
+    known = not (vehicle.corners == UNKNOWN_PIXEL).all()
     bbox = boxes.xyxy_to_xywh(box)
     return Annotation(
         id=0,
@@ -231,8 +231,8 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
     no place for them.
     """
     files = {split: dataset.read(split) for split in dataset.splits}
-    groups = [(split, own) for split, file in files.items() for own in _groups(file)]
-    others = sum(len(file.road_users) for file in files.values())
+    groups = [(split, group) for split, file in files.items() for group in _groups(file)]
+    road_user_count = sum(len(file.road_users) for file in files.values())
     places, ignored = [], 0
     for number, (split, (images, vehicles)) in enumerate(
         console.bar(groups, unit="scene", label="writing scenes"), start=1
@@ -246,8 +246,8 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
     write_csv(out / SCENES_FILE, ("scene", "split", "site", "recording"), places, byte_order_mark=False)
     if ignored:
         console.say(f"{ignored} ignored vehicles are left out: this format cannot store them")
-    if others:
-        console.say(f"{others} people on foot and on two wheels are left out: this format has only vehicles")
+    if road_user_count:
+        console.say(f"{road_user_count} people on foot and on two wheels are left out: this format has only vehicles")
     if dataset.scheme.name == SKOPE33.name:
         write_json(out / POINT_MAP_FILE, dict(zip(PUBLISHED.names, keypoints.NAMES, strict=True)))
 
@@ -265,8 +265,8 @@ def _write_scene(
     write_video(folder / VIDEO_MEMBER, (dataset.image(image) for image in images), frame_rate(images))
     for frame, image in enumerate(images):
         (folder / str(frame)).mkdir()
-        own = [vehicle for vehicle in vehicles[image.id] if not vehicle.ignored]
-        for number, vehicle in enumerate(own):
+        labelled = [vehicle for vehicle in vehicles[image.id] if not vehicle.ignored]
+        for number, vehicle in enumerate(labelled):
             for kind, rows in _tables(vehicle, image).items():
                 text = io.StringIO()
                 csv.writer(text, lineterminator="\n").writerows(rows)
@@ -298,4 +298,4 @@ def _corners(vehicle: Annotation, image: Image) -> Array:
         pixels, _, valid = image.camera.project(ARCHIVE_CORNERS * box.size_lwh @ box.R.T + box.center)
         if valid.all():
             return pixels
-    return np.full((8, 2), NO_PLACE)
+    return np.full((8, 2), UNKNOWN_PIXEL)

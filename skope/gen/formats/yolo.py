@@ -36,7 +36,7 @@ def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -
     parts = _parts(dataset, console)
     kept, ignored = 0, Counter[str]()
     for name, file in parts.items():
-        own = file.labels_by_image()
+        labels_by_image = file.labels_by_image()
         for image in console.bar(file.images, unit="image", label=f"writing {name}"):
             path = PurePosixPath(name) / _findable(bare_name(image.file_name))
             if path.suffix.lower() not in YOLO_SUFFIXES:
@@ -48,9 +48,11 @@ def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -
             labels = out / "labels" / path.with_suffix(".txt")
             if labels.exists():
                 raise UserError(f"{dataset.root}: {image.file_name}: another image has this name with another suffix")
-            rows = [_row(label, image, chosen, file.categories) for label in own[image.id] if not label.ignored]
+            rows = [
+                _row(label, image, chosen, file.categories) for label in labels_by_image[image.id] if not label.ignored
+            ]
             kept += len(rows)
-            ignored.update(label.ignore_reason or "others" for label in own[image.id] if label.ignored)
+            ignored.update(label.ignore_reason or "others" for label in labels_by_image[image.id] if label.ignored)
             write_text(labels, "".join(rows))
     flip = _flip(dataset.scheme, chosen)
     if flip is None:
@@ -137,13 +139,13 @@ def _flip(scheme: Scheme, chosen: Sequence[int]) -> list[int] | None:
 def _yaml(
     dataset: Dataset, parts: Mapping[str, AnnotationFile], chosen: Sequence[int], flip: Sequence[int] | None
 ) -> str:
-    others = [name for name in parts if name not in (YOLO_SPLITS, VAL)]
+    test_parts = [name for name in parts if name not in (YOLO_SPLITS, VAL)]
     categories = parts[YOLO_SPLITS].categories
     lines = [
         f"# Paths are relative to this file. Licence: {dataset.licence}",
         f"train: images/{YOLO_SPLITS}",
         f"val: images/{VAL}",
-        *([f"test: [{', '.join(f'images/{name}' for name in others)}]"] if others else []),
+        *([f"test: [{', '.join(f'images/{name}' for name in test_parts)}]"] if test_parts else []),
         f"kpt_shape: [{len(chosen)}, 3]",
         *([f"flip_idx: {list(flip)}"] if flip is not None else []),
         f"kpt_oks_sigmas: {[dataset.scheme.sigmas[i] for i in chosen]}",

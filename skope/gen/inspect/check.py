@@ -81,8 +81,10 @@ def check(dataset: Dataset) -> Iterator[Finding]:
     yield from _check_manifest(dataset)
     if not dataset.splits:
         yield Finding(f"{dataset.root}", "no annotation files")
-    counts, others = Counter[str](), Counter[tuple[str, str]]()
-    seen = _Seen(own="own" in dataset.card.get("parameters", {}) and bool(dataset.card["parameters"]["own"]))
+    counts, category_counts = Counter[str](), Counter[tuple[str, str]]()
+    seen = _SplitOverlaps(
+        single_site="own" in dataset.card.get("parameters", {}) and bool(dataset.card["parameters"]["own"])
+    )
     for split in dataset.splits:
         name = f"{shards.SHARD_FOLDER}/{split}-*.tar" if dataset.sharded else f"annotations/{split}.json"
         try:
@@ -103,27 +105,30 @@ def check(dataset: Dataset) -> Iterator[Finding]:
                 yield Finding(f"{name}: {where}", text, image.file_name)
         counts["images"] += len(file.images)
         counts["ground_truth"] += sum(not a.ignored for a in file.annotations)
-        others.update((user.category, "ignored" if user.ignored else "ground_truth") for user in file.road_users)
+        category_counts.update(
+            (user.category, "ignored" if user.ignored else "ground_truth") for user in file.road_users
+        )
     yield from _check_takes(dataset, seen.frames)
     for key, count in counts.items():
-        said = dataset.card.get("counts", {}).get(key)
-        if said is not None and said != count:
-            yield Finding(CARD_FILE, f"counts.{key}: {said}, expected {count} as in the annotations")
-    told = dataset.card.get("counts", {}).get("by_category", {})
+        stated = dataset.card.get("counts", {}).get(key)
+        if stated is not None and stated != count:
+            yield Finding(CARD_FILE, f"counts.{key}: {stated}, expected {count} as in the annotations")
+    stated_by_category = dataset.card.get("counts", {}).get("by_category", {})
     for name, kind in itertools.product(dataset.categories[1:], ("ground_truth", "ignored")):
-        said = told.get(name, {}).get(kind, 0)
-        if said != others[name, kind]:
+        stated = stated_by_category.get(name, {}).get(kind, 0)
+        if stated != category_counts[name, kind]:
             yield Finding(
                 CARD_FILE,
-                f"counts.by_category.{name}.{kind}: {said}, expected {others[name, kind]} as in the annotations",
+                f"counts.by_category.{name}.{kind}: {stated}, expected {category_counts[name, kind]} "
+                "as in the annotations",
             )
 
 
-class _Seen:
+class _SplitOverlaps:
     """Finds duplicates across splits."""
 
-    def __init__(self, *, own: bool) -> None:
-        self._own = own  # the recordings of its one site are in several splits
+    def __init__(self, *, single_site: bool) -> None:
+        self._single_site = single_site  # the recordings of its one site are in several splits
         self._sites: dict[str | None, list[str]] = {}
         self._images: set[int] = set()
         self._annotations: set[int] = set()
@@ -138,13 +143,13 @@ class _Seen:
             if image.file_name in self._files:
                 yield Finding(where, f"file_name: {image.file_name} is a duplicate", image.file_name)
             self.frames.add((image.site, image.recording, image.frame_index))
-            others = self._sites.setdefault(image.site, [])
-            if split not in others:
-                others.append(split)
+            site_splits = self._sites.setdefault(image.site, [])
+            if split not in site_splits:
+                site_splits.append(split)
             # Test splits may share sites (those by condition do); a training split shares none with other splits.
-            if not self._own and image.site and len(others) > 1 and "train" in others:
-                other = next(name for name in others if name != split)
-                yield Finding(where, f"site: {image.site} is also in split {other}", image.file_name)
+            if not self._single_site and image.site and len(site_splits) > 1 and "train" in site_splits:
+                other_split = next(name for name in site_splits if name != split)
+                yield Finding(where, f"site: {image.site} is also in split {other_split}", image.file_name)
             self._files.add(image.file_name)
         self._images.update(image.id for image in file.images)
         names = {image.id: image.file_name for image in file.images}
@@ -218,19 +223,19 @@ def _check_motion(name: str, file: AnnotationFile) -> Iterator[Finding]:
     images = {image.id: image for image in file.images}
     tracks: dict[tuple[Any, ...], list[tuple[float, Image, Annotation | RoadUser]]] = {}
     every: list[Annotation | RoadUser] = [*file.annotations, *file.road_users]
-    for one in every:
-        image = images[one.image_id]
-        if one.velocity is not None and one.box_3d is not None and one.track_id and image.time_s is not None:
-            key = (image.site, image.recording, one.track_id)
-            tracks.setdefault(key, []).append((image.time_s, image, one))
+    for label in every:
+        image = images[label.image_id]
+        if label.velocity is not None and label.box_3d is not None and label.track_id and image.time_s is not None:
+            key = (image.site, image.recording, label.track_id)
+            tracks.setdefault(key, []).append((image.time_s, image, label))
     for rows in tracks.values():
         rows.sort(key=lambda row: row[0])
         for (start, _, a), (end, image, b) in itertools.pairwise(rows):
             if end <= start or a.velocity is None or b.velocity is None or a.box_3d is None or b.box_3d is None:
                 continue
-            (here, lever), (there, _) = _measured_place(a), _measured_place(b)
-            came = (there - here) / (end - start)
-            wrong = float(np.linalg.norm(came - (a.velocity + b.velocity) / 2))
+            (start_point, lever), (end_point, _) = _measured_point(a), _measured_point(b)
+            mean_velocity = (end_point - start_point) / (end - start)
+            wrong = float(np.linalg.norm(mean_velocity - (a.velocity + b.velocity) / 2))
             turn = abs(float(wrapped(b.box_3d.yaw - a.box_3d.yaw))) / (end - start)
             # Maximum difference between the mean of two velocities and the mean velocity between them.
             if wrong > MOTION_LIMITS.acceleration_mps2 * (end - start) / 4 + MOTION_LIMITS.speed_mps + turn * lever:
@@ -241,7 +246,7 @@ def _check_motion(name: str, file: AnnotationFile) -> Iterator[Finding]:
                 )
 
 
-def _measured_place(annotation: Annotation | RoadUser) -> tuple[AnyFloats, float]:
+def _measured_point(annotation: Annotation | RoadUser) -> tuple[AnyFloats, float]:
     """Return a point (3,) of a road user that moves with its velocity, and the maximum distance to its measured point.
 
     The box around both parts of an articulated vehicle changes while it bends, therefore its front axle is used.

@@ -13,45 +13,50 @@ from skope.schema import CATEGORY_NAMES, Annotation, Labelled, RoadUser
 Key = tuple[str | None, str | None, int | None]
 
 
-def differences(one: Dataset, other: Dataset) -> Iterator[str]:
+def differences(first: Dataset, second: Dataset) -> Iterator[str]:
     """Yield lines with the differences in parameters, frames, labels and bytes; none for equal datasets."""
-    a, b = one.card.get("parameters", {}), other.card.get("parameters", {})
+    a, b = first.card.get("parameters", {}), second.card.get("parameters", {})
     for name in sorted(a.keys() | b.keys()):
         if a.get(name) != b.get(name):
             yield f"parameters.{name}: {a.get(name)} and {b.get(name)}"
-    for split in sorted({*one.splits, *other.splits}):
-        if split not in one.splits or split not in other.splits:
-            yield f"split {split}: only in {(one if split in one.splits else other).root}"
+    for split in sorted({*first.splits, *second.splits}):
+        if split not in first.splits or split not in second.splits:
+            yield f"split {split}: only in {(first if split in first.splits else second).root}"
             continue
-        yield from (f"split {split}: {text}" for text in _labels(one, other, split))
-    yield from _bytes(one, other)
+        yield from (f"split {split}: {text}" for text in _labels(first, second, split))
+    yield from _bytes(first, second)
 
 
-def _labels(one: Dataset, other: Dataset, split: str) -> Iterator[str]:
-    first, second = (_frames(dataset, split) for dataset in (one, other))
-    for here, there, root in ((first, second, one.root), (second, first, other.root)):
-        if alone := here.keys() - there.keys():
+def _labels(first_dataset: Dataset, second_dataset: Dataset, split: str) -> Iterator[str]:
+    first_frames, second_frames = (_frames(dataset, split) for dataset in (first_dataset, second_dataset))
+    for frames, compared, root in (
+        (first_frames, second_frames, first_dataset.root),
+        (second_frames, first_frames, second_dataset.root),
+    ):
+        if alone := frames.keys() - compared.keys():
             yield f"{len(alone)} frames only in {root}, such as {_named(min(alone, key=str))}"
-    common = first.keys() & second.keys()
-    both_labels: list[tuple[Annotation | RoadUser, Annotation | RoadUser]] = []
+    common = first_frames.keys() & second_frames.keys()
+    label_pairs: list[tuple[Annotation | RoadUser, Annotation | RoadUser]] = []
     odd = Counter[str]()
     for key in common:
-        mine, theirs = first[key], second[key]
+        mine, theirs = first_frames[key], second_frames[key]
         for name in CATEGORY_NAMES:
-            odd[name] += {one for one in mine if one[0] == name} != {one for one in theirs if one[0] == name}
-        both_labels += [(mine[one], theirs[one]) for one in mine.keys() & theirs.keys()]
+            odd[name] += {track for track in mine if track[0] == name} != {
+                track for track in theirs if track[0] == name
+            }
+        label_pairs += [(mine[track], theirs[track]) for track in mine.keys() & theirs.keys()]
     for name, count in odd.items():
         if count:
             yield f"{count} of {len(common)} frames have different {name}s"
-    yield from _boxes(both_labels)
-    pairs = [(a, b) for a, b in both_labels if isinstance(a, Annotation) and isinstance(b, Annotation)]
+    yield from _boxes(label_pairs)
+    pairs = [(a, b) for a, b in label_pairs if isinstance(a, Annotation) and isinstance(b, Annotation)]
     if not pairs:
         return
     v = np.array([a.keypoints[:, 2] != b.keypoints[:, 2] for a, b in pairs])
     if v.any():
         yield f"v differs for {v.mean():.3%} of {v.size} keypoints"
-    both = np.array([(a.keypoints[:, 2] > 0) & (b.keypoints[:, 2] > 0) for a, b in pairs])
-    apart = np.array([np.hypot(*(a.keypoints - b.keypoints)[:, :2].T) for a, b in pairs])[both]
+    both_labelled = np.array([(a.keypoints[:, 2] > 0) & (b.keypoints[:, 2] > 0) for a, b in pairs])
+    apart = np.array([np.hypot(*(a.keypoints - b.keypoints)[:, :2].T) for a, b in pairs])[both_labelled]
     if (apart > 0).any():
         yield f"keypoints differ by up to {apart.max():.2f} px, on average by {apart.mean():.3f} px"
 
@@ -84,13 +89,13 @@ def _named(key: Key) -> str:
     return f"{site}/{recording}_{frame:06d}"
 
 
-def _bytes(one: Dataset, other: Dataset) -> Iterator[str]:
+def _bytes(first: Dataset, second: Dataset) -> Iterator[str]:
     """Yield differences between the files of two datasets with manifests of the same format."""
-    if one.sharded != other.sharded:
-        yield f"formats: {one.card.get('format')} and {other.card.get('format')}"
+    if first.sharded != second.sharded:
+        yield f"formats: {first.card.get('format')} and {second.card.get('format')}"
         return
     try:
-        a, b = (read_manifest(dataset.root)["sha256"] for dataset in (one, other))
+        a, b = (read_manifest(dataset.root)["sha256"] for dataset in (first, second))
     except UserError:
         return
     kinds = Counter(name.split("/")[0] for name in a.keys() & b.keys() if a[name] != b[name])

@@ -39,8 +39,8 @@ class LabelTolerances:
     """Tolerance between an articulated vehicle's angle and the angle of its rear wheels (rounding), radians."""
     sharp_px: float = 40.0
     """Box size below which points of a vehicle may be hidden by objects smaller than a pixel, pixels."""
-    depth_doubt_m: float = 0.015
-    """Minimum contradiction between the depth file and a flag, metres: 1 cm plus rounding."""
+    depth_slack_m: float = 0.015
+    """Tolerance of the comparison of flags with the depth file, metres: 1 cm plus rounding."""
 
 
 LABEL_TOLERANCES: Final = LabelTolerances()
@@ -139,8 +139,8 @@ def keypoint_3d_findings(annotation: Annotation) -> Iterator[str]:
     box = annotation.box_3d
     if box is None or annotation.keypoints_3d is None:
         return
-    own = (annotation.keypoints_3d - box.center) @ box.R
-    if (np.abs(own) > box.size_lwh / 2 + LABEL_TOLERANCES.outside_m).any():
+    in_box_frame = (annotation.keypoints_3d - box.center) @ box.R
+    if (np.abs(in_box_frame) > box.size_lwh / 2 + LABEL_TOLERANCES.outside_m).any():
         yield "keypoints_3d: a point lies far outside box_3d"
     if annotation.articulation is not None:
         # The direction along the trailer's rearmost axle is its left.
@@ -218,7 +218,7 @@ def visibility_findings(depth: AnyFloats, camera: Camera, annotation: Annotation
     least, most = np.fmin.reduce(gaps), np.fmax.reduce(gaps)
     at_edge = np.isnan(gaps).any(axis=0)
     with np.errstate(invalid="ignore"):
-        doubt = LABEL_TOLERANCES.depth_doubt_m + np.minimum(
+        tolerance = LABEL_TOLERANCES.depth_slack_m + np.minimum(
             np.nan_to_num(most - least, nan=VISIBILITY_TOLERANCES.slope_m, posinf=VISIBILITY_TOLERANCES.slope_m),
             VISIBILITY_TOLERANCES.slope_m,
         )
@@ -226,12 +226,12 @@ def visibility_findings(depth: AnyFloats, camera: Camera, annotation: Annotation
     near = (
         np.linalg.norm(camera.to_camera(annotation.keypoints_3d), axis=1) < LABEL_TOLERANCES.depth_limit_m
     ) & ~at_edge
-    for k in np.flatnonzero(near & (v == 2) & (least > VISIBILITY_TOLERANCES.point_m + doubt)):
+    for k in np.flatnonzero(near & (v == 2) & (least > VISIBILITY_TOLERANCES.point_m + tolerance)):
         yield f"keypoints: {keypoints.NAMES[k]} has v = 2, but the depth file shows {least[k]:.2f} m less"
     for k in np.flatnonzero(
         near
         & (annotation.bbox[2:].max() >= LABEL_TOLERANCES.sharp_px)
         & (v == 1)
-        & (most < VISIBILITY_TOLERANCES.point_m - LABEL_TOLERANCES.depth_doubt_m)
+        & (most < VISIBILITY_TOLERANCES.point_m - LABEL_TOLERANCES.depth_slack_m)
     ):
         yield f"keypoints: {keypoints.NAMES[k]} has v = 1, but the depth file shows nothing in front of it"

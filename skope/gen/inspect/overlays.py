@@ -63,12 +63,12 @@ def overlay(dataset: Dataset, image: Image, labels: Sequence[Annotation | RoadUs
         pixels = draw.occlusion(pixels, labels)
     if "keypoints" in layers:
         vehicles = [label for label in labels if isinstance(label, Annotation)]
-        others = [label for label in labels if isinstance(label, RoadUser)]
-        pixels = draw.annotations(pixels, vehicles, others, scheme=dataset.scheme)
+        road_users = [label for label in labels if isinstance(label, RoadUser)]
+        pixels = draw.annotations(pixels, vehicles, road_users, scheme=dataset.scheme)
     return pixels
 
 
-def one_image(dataset: Dataset, number: int, layers: Sequence[str], out: Path) -> Path:
+def write_overlay(dataset: Dataset, number: int, layers: Sequence[str], out: Path) -> Path:
     """Write the overlay of the image with the id `number` to the folder `out`; return the file's path."""
     for split in dataset.splits:
         file = dataset.read(split)
@@ -98,16 +98,18 @@ def sheets(dataset: Dataset, site: str | None, layers: Sequence[str], out: Path)
     groups: dict[str, list[tuple[Image, list[Annotation | RoadUser]]]] = {}
     for split in dataset.splits:
         file = dataset.read(split)
-        own = file.labels_by_image()
+        labels_by_image = file.labels_by_image()
         for image in file.images:
             if site is None or image.site == site:
-                groups.setdefault(site or split, []).append((image, own[image.id]))
+                groups.setdefault(site or split, []).append((image, labels_by_image[image.id]))
     if not groups:
         raise UserError(f"{dataset.root}: no image of site {site!r}" if site else f"{dataset.root}: has no images")
     paths = []
     for name, pairs in groups.items():
         chosen = [pairs[i] for i in sorted({round(k) for k in np.linspace(0, len(pairs) - 1, SHEET_SIZE.images)})]
-        cells = [_cell(overlay(dataset, image, own, layers), f"{image.id}  {image.file_name}") for image, own in chosen]
+        cells = [
+            _cell(overlay(dataset, image, labels, layers), f"{image.id}  {image.file_name}") for image, labels in chosen
+        ]
         paths.append(out / f"{name}.png")
         draw.write(paths[-1], draw.contact_sheet(cells, 3))
     return paths

@@ -89,9 +89,13 @@ def _histogram(title: str, unit: str, values: Mapping[str, NDArray[np.float64]],
     bands = np.linspace(0, end, _BAND_COUNT + 1)
     middles = ((bands[1:] + bands[:-1]) / 2).tolist()
     lines = [
-        Line(name=f"{split} ({len(own)})", x=middles, y=(np.histogram(own, bands)[0] / len(own)).tolist())
-        for split, own in values.items()
-        if len(own)
+        Line(
+            name=f"{split} ({len(split_values)})",
+            x=middles,
+            y=(np.histogram(split_values, bands)[0] / len(split_values)).tolist(),
+        )
+        for split, split_values in values.items()
+        if len(split_values)
     ]
     if not lines:
         return []
@@ -128,10 +132,10 @@ def spread_out(images: Sequence[Image], count: int) -> list[int]:
     groups: dict[tuple[str | None, str | None], list[int]] = {}
     for i, image in enumerate(images):
         groups.setdefault((image.split, image.site), []).append(i)
-    own = [sorted(group, key=lambda i: _time_of_image(images[i])) for group in groups.values()]
+    ordered_groups = [sorted(group, key=lambda i: _time_of_image(images[i])) for group in groups.values()]
     chosen = [
         group[k]
-        for group, share in zip(own, _shares_of([len(g) for g in own], count), strict=True)
+        for group, share in zip(ordered_groups, _shares_of([len(g) for g in ordered_groups], count), strict=True)
         for k in _even_places(len(group), share)
     ]
     return sorted(chosen)
@@ -178,10 +182,10 @@ def write_dataset_report(dataset: Dataset, count: int, path: Path, console: Cons
     for split in console.bar(dataset.splits, unit="split", label="reading"):
         file = dataset.read(split)
         stats[split], spreads[split] = split_stats(dataset, file), spread_of(file)
-        own = file.labels_by_image()
+        labels_by_image = file.labels_by_image()
         # Files of other tools specify the split only in their name.
         images = [replace(image, split=image.split or split) for image in file.images]
-        candidates += [(images[i], own[images[i].id]) for i in spread_out(images, count)]
+        candidates += [(images[i], labels_by_image[images[i].id]) for i in spread_out(images, count)]
     if not candidates:
         raise UserError(f"{dataset.root}: has no images")
     chosen = [candidates[i] for i in spread_out([image for image, _ in candidates], count)]

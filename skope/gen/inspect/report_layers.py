@@ -62,8 +62,8 @@ def shown_photo(dataset: Dataset, image: Image, labels: Sequence[Annotation | Ro
     known = [label for label in labels if not label.ignored]
     size = (image.width, image.height)
     words = counted(sum(isinstance(label, Annotation) for label in known), "vehicle")
-    others = Counter(label.category for label in known if isinstance(label, RoadUser))
-    words += "".join(f", {counted(number, name)}" for name, number in sorted(others.items()))
+    category_counts = Counter(label.category for label in known if isinstance(label, RoadUser))
+    words += "".join(f", {counted(number, name)}" for name, number in sorted(category_counts.items()))
     if len(labels) > len(known):
         words += f", {len(labels) - len(known)} ignored"
     caption = ", ".join(part for part in (image.split, image.site, image.weather, _sun(image), words) if part)
@@ -104,7 +104,7 @@ def _layers(image: Image, labels: Sequence[Annotation | RoadUser], scheme: Schem
         "points": lambda label: _points(label, _scale(label, image), scheme),
     }
     layers = [
-        tag("g", *(_own(label, of(label), _scale(label, image)) for label in known), class_=name)
+        tag("g", *(_label_group(label, of(label), _scale(label, image)) for label in known), class_=name)
         for name, of in kinds.items()
     ]
     ignored = [image_viewer.box_svg(label.bbox, draw.words_of(label)) for label in labels if label.ignored]
@@ -116,7 +116,7 @@ def _scale(label: Annotation | RoadUser, image: Image) -> float:
     return float(np.clip(label.bbox[2:].max() / 60, 0.3, image_viewer.unit(image.width)))
 
 
-def _own(label: Annotation | RoadUser, drawn: Markup, scale: float) -> Markup:
+def _label_group(label: Annotation | RoadUser, drawn: Markup, scale: float) -> Markup:
     """Return the SVG group of one road user, with its drawing in its colour."""
     if not drawn:
         return Markup()

@@ -61,7 +61,7 @@ class SplitStats:
         """Return the numbers as JSON values; null if there was nothing to count."""
         values = {name: _without_nan(value) for name, value in asdict(self).items()}
         if self.road_users is not None:
-            values["road_users"] = {name: one.to_dict() for name, one in self.road_users.items()}
+            values["road_users"] = {name: category_stats.to_dict() for name, category_stats in self.road_users.items()}
         return {name: value for name, value in values.items() if value is not None or name not in OPTIONAL_NUMBERS}
 
 
@@ -86,7 +86,7 @@ class CategoryStats:
 
 def _without_nan(value: Any) -> Any:
     if isinstance(value, tuple):
-        return [_without_nan(one) for one in value]
+        return [_without_nan(item) for item in value]
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
@@ -173,7 +173,7 @@ def rows(stats: Mapping[str, SplitStats]) -> list[tuple[str, list[str]]]:
     columns, types = list(stats.values()), Counter[str]()
     for column in columns:
         types.update(column.types)
-    said: dict[str, Callable[[SplitStats], str]] = {
+    cells: dict[str, Callable[[SplitStats], str]] = {
         "images": lambda s: str(s.images),
         "sites": lambda s: str(s.sites),
         "vehicles": lambda s: str(s.vehicles),
@@ -188,9 +188,9 @@ def rows(stats: Mapping[str, SplitStats]) -> list[tuple[str, list[str]]]:
         "brightness, of 255": lambda s: _known(s.brightness, ".0f"),
     }
     if any(s.bend_deg for s in columns):
-        said["bend of articulated vehicles, deg"] = lambda s: _median(s.bend_deg) if s.bend_deg else "-"
+        cells["bend of articulated vehicles, deg"] = lambda s: _median(s.bend_deg) if s.bend_deg else "-"
     return [
-        *((name, [cell(s) for s in columns]) for name, cell in said.items()),
+        *((name, [cell(s) for s in columns]) for name, cell in cells.items()),
         *((f"  {kind}", [str(s.types.get(kind, 0)) for s in columns]) for kind, _ in types.most_common()),
         *(
             row
@@ -211,8 +211,8 @@ def _rows_of(category: str, columns: Sequence[SplitStats]) -> list[tuple[str, li
         "  box height, px": lambda s: _median(s.box_height_px),
         "  hidden share": lambda s: _known(s.occluded, ".3f"),
     }
-    told = [(s.road_users or {}).get(category) for s in columns]
-    return [(name, ["-" if one is None else cell(one) for one in told]) for name, cell in cells.items()]
+    category_stats = [(s.road_users or {}).get(category) for s in columns]
+    return [(name, ["-" if stats is None else cell(stats) for stats in category_stats]) for name, cell in cells.items()]
 
 
 def _median(values: tuple[float, float, float]) -> str:

@@ -139,7 +139,10 @@ def draw_lanes(road: OwnRoad) -> Pixels:
             for k in range(3, len(middle), int(TOWN_MAP.arrow_spacing_m / TOWN_MAP.sample_m)):
                 barbs = middle[[k - 3, k, k - 3]] + np.array([[0.5], [0.0], [-0.5]]) * across[k]
                 _draw_lane(image, road, graph, barbs, _ARROW)
-    outlines = [*((one.polygon, _OCCLUDER) for one in road.occluders), *((one, _SHADE) for one in road.shades)]
+    outlines = [
+        *((occluder.polygon, _OCCLUDER) for occluder in road.occluders),
+        *((shade, _SHADE) for shade in road.shades),
+    ]
     for outline, color in outlines:
         corners = np.rint((np.array(outline) - 0.5) * 2**DRAWING_STYLE.subpixel_bits).astype(np.int32)
         cv2.polylines(image, [corners], True, color, 1, cv2.LINE_AA, DRAWING_STYLE.subpixel_bits)

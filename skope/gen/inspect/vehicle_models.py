@@ -137,7 +137,7 @@ def _corners(vehicle: Vehicle) -> Iterator[str]:
 def _lamps(vehicle: Vehicle) -> Iterator[str]:
     mesh = straight_mesh(vehicle)
     present = set(np.array(mesh.materials)[np.unique(mesh.material)])
-    yield from (f"parts: no {what} (material {name})" for name, what in LAMP_PARTS.items() if name not in present)
+    yield from (f"parts: no {lamp} (material {name})" for name, lamp in LAMP_PARTS.items() if name not in present)
 
 
 def _class(vehicle: Vehicle) -> Iterator[str]:
@@ -152,12 +152,12 @@ def _size(vehicle: Vehicle) -> Iterator[str]:
     length, _, height = straight_lwh(vehicle)
     # A rod antenna is not included, as in vehicles' registration papers.
     rod = (vertices[:, 2] > height + MODEL_TOLERANCES.size_m) & (np.abs(vertices[:, 1]) < MODEL_TOLERANCES.rod_m)
-    for name, found, said in (
+    for name, found, expected in (
         ("length", np.ptp(vertices[:, 0]), length),
         ("height", vertices[~rod, 2].max(), height),
     ):
-        if abs(found - said) > MODEL_TOLERANCES.size_m:
-            yield f"mesh: {name} {found:.2f} m, expected {said:.2f} m from the shape"
+        if abs(found - expected) > MODEL_TOLERANCES.size_m:
+            yield f"mesh: {name} {found:.2f} m, expected {expected:.2f} m from the shape"
 
 
 def _wheels(vehicle: Vehicle) -> Iterator[str]:
@@ -187,9 +187,9 @@ def _orientation(vehicle: Vehicle) -> Iterator[str]:
     for azimuth in np.radians([20, 110, 200, 290]):
         eye = max(15, straight_lwh(vehicle)[0]) * np.array([np.cos(azimuth), np.sin(azimuth), 0.35])
         aims = corners[rng.choice(len(corners), MODEL_TOLERANCES.rays, replace=False, p=area / area.sum())].mean(axis=1)
-        sight = corners.mean(axis=1) - eye
-        away = (normal * sight).sum(axis=1)
-        counts = (away <= 0) | (away > MODEL_TOLERANCES.grazing_sin * area * np.linalg.norm(sight, axis=1))
+        rays = corners.mean(axis=1) - eye
+        away = (normal * rays).sum(axis=1)
+        counts = (away <= 0) | (away > MODEL_TOLERANCES.grazing_sin * area * np.linalg.norm(rays, axis=1))
         reach, front = Fan(corners[counts] - eye).first_hits(aims - eye)
         back += int((np.isfinite(reach) & ~front).sum())
         total += int(np.isfinite(reach).sum())
@@ -279,9 +279,9 @@ def _sheet_camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tupl
     middle = np.array([(vehicle.shape.length - length) / 2, 0.0, height / 2])
 
     def at(distance: float) -> Camera:
-        place = middle + distance * toward
+        position = middle + distance * toward
         return Camera.looking(
-            place, yaw=azimuth + math.pi, pitch_down=elevation, size=size, fov=MODEL_TOLERANCES.sheet_fov_rad
+            position, yaw=azimuth + math.pi, pitch_down=elevation, size=size, fov=MODEL_TOLERANCES.sheet_fov_rad
         )
 
     distance = 60.0
@@ -297,8 +297,8 @@ def _sheet_camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tupl
 
 def sheet_color(vehicle: Vehicle) -> str:
     """Return a paint that shows a model's shape, or its livery."""
-    own = palette(vehicle)
-    return _CAR_COLOR if _CAR_COLOR in own else own[min(1, len(own) - 1)]
+    paints = palette(vehicle)
+    return _CAR_COLOR if _CAR_COLOR in paints else paints[min(1, len(paints) - 1)]
 
 
 def parked_recording(vehicle: Vehicle, camera: Camera, bend: float = 0.0) -> Recording:

@@ -38,10 +38,10 @@ def box_around(vehicle: Vehicle, trailer: Trailer, T_world_chassis: Array, T_wor
         Centre (3,), world, and size (3,), metres.
     """
     length, width, height = vehicle.size_lwh
-    own = np.array([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]])
+    front_corners = np.array([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]])
     corners = np.array(np.meshgrid(*trailer.corners.T)).reshape(3, -1).T
     T = np.linalg.inv(T_world_chassis) @ T_world_trailer
-    points = np.concatenate([own, corners @ T[:3, :3].T + T[:3, 3]])
+    points = np.concatenate([front_corners, corners @ T[:3, :3].T + T[:3, 3]])
     low, high = points.min(axis=0), points.max(axis=0)
     return T_world_chassis[:3, :3] @ ((low + high) / 2) + T_world_chassis[:3, 3], high - low
 
@@ -88,10 +88,10 @@ def annotate(
     pixels, _, valid = camera.project(world.points)
     inside = valid & camera.inside(pixels)
     gap, shown = behind(view, camera, world.tested)
-    own = shown[0] == np.array(seen, dtype=np.int32).reshape(-1, 1) + 1
+    own_pixels = shown[0] == np.array(seen, dtype=np.int32).reshape(-1, 1) + 1
     v = np.where(inside, np.where(find_hidden(moment, world, view, camera, inside, gap, shown), 1, 2), 0)
     hidden = inside & (np.nan_to_num(gap[0], nan=0.0) > VISIBILITY_TOLERANCES.vehicle_m)
-    by_others = occluded_by_others(hidden & ~own, inside)
+    by_others = occluded_by_others(hidden & ~own_pixels, inside)
     by_paper = hidden.sum(-1) * 2 > keypoints.K
     tally = RuleCounts()
     out: list[Annotation] = []
@@ -169,9 +169,9 @@ def annotate_road_users(
     Returns:
         Labels of all bystanders with a visible pixel, including ignored ones, sorted by track id.
     """
-    others = [i for i, recorded in enumerate(moment.vehicles) if not recorded.labelled]
+    bystanders = [i for i, recorded in enumerate(moment.vehicles) if not recorded.labelled]
     out: list[RoadUser] = []
-    for i in sorted(others, key=lambda i: moment.vehicles[i].track_id):
+    for i in sorted(bystanders, key=lambda i: moment.vehicles[i].track_id):
         extent = measure_extent(view, i, camera)
         if extent is None:
             continue

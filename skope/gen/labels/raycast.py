@@ -61,13 +61,15 @@ class RayCaster:
         if not found:
             return hits
         # The patches of all vehicles are tested together, since many small numpy calls would cost more.
-        starts = np.cumsum([0, *(len(one.eyes) for one in found)])
-        ray = np.concatenate([one.ray for one in found])
-        patch = np.concatenate([one.patch + start for one, start in zip(found, starts, strict=False)])
-        own = np.concatenate([one.own for one in found])
-        eyes = np.concatenate([one.eyes for one in found])
-        edges, volume = _edge_planes(np.concatenate([one.corners for one in found], axis=2) - eyes.T[:, None, :, None])
-        sides = [np.einsum("pc,cpt->pt", own, edge[:, patch]) for edge in edges]
+        starts = np.cumsum([0, *(len(pairs.eyes) for pairs in found)])
+        ray = np.concatenate([pairs.ray for pairs in found])
+        patch = np.concatenate([pairs.patch + start for pairs, start in zip(found, starts, strict=False)])
+        directions = np.concatenate([pairs.directions for pairs in found])
+        eyes = np.concatenate([pairs.eyes for pairs in found])
+        edges, volume = _edge_planes(
+            np.concatenate([pairs.corners for pairs in found], axis=2) - eyes.T[:, None, :, None]
+        )
+        sides = [np.einsum("pc,cpt->pt", directions, edge[:, patch]) for edge in edges]
         pair, triangle, facing = _find_crossings(sides)
         reach = volume[patch[pair], triangle] / facing
         np.minimum.at(hits, ray[pair], np.where(reach > 0, reach, np.inf))
@@ -95,11 +97,13 @@ class RayCaster:
         ray = np.flatnonzero(chosen)[ray]
         # There are fewer rays than triangles, so the rays are moved to the part's frame.
         eyes = -np.einsum("pji,pj->pi", poses[:, :3, :3], poses[:, :3, 3])
-        own = np.einsum("pji,pj->pi", T[patch, :3, :3], rays[ray])
+        directions = np.einsum("pji,pj->pi", T[patch, :3, :3], rays[ray])
         part = patches.part[patch]
-        through = _may_meet_boxes(own, away[ray], patches.boxes[:, patch] - eyes[part])
+        through = _may_meet_boxes(directions, away[ray], patches.boxes[:, patch] - eyes[part])
         used, index = np.unique(patch[through], return_inverse=True)
-        return _Candidates(ray[through], index, own[through], eyes[patches.part[used]], patches.corners[:, :, used])
+        return _Candidates(
+            ray[through], index, directions[through], eyes[patches.part[used]], patches.corners[:, :, used]
+        )
 
 
 def _reach(vehicle: Body) -> float:
@@ -132,7 +136,7 @@ class _Candidates:
     """(P,) index of each pair's ray."""
     patch: NDArray[np.intp]
     """(P,) index of each pair's patch among the U patches."""
-    own: Array
+    directions: Array
     """(P, 3) direction of each pair's ray in the frame of the patch's part."""
     eyes: Array
     """(U, 3) position of the camera in the frame of each patch's part, metres."""

@@ -49,11 +49,11 @@ def behind(view: RenderedFrame, camera: Camera, points: Array) -> tuple[Array, N
     pixels, _, valid = camera.project(points)
     seen = valid & camera.inside(pixels)
     at = np.where(seen[..., None], pixels, 0.5)
-    own = np.floor(at)
-    beside = own + np.where(at - own < 0.5, -1, 1)
+    pixel = np.floor(at)
+    beside = pixel + np.where(at - pixel < 0.5, -1, 1)
     size = np.array([camera.width, camera.height])
     picks = [[0, 0], [1, 0], [0, 1], [1, 1]]
-    which = np.clip([np.where(pick, beside, own) for pick in picks], 0, size - 1).astype(int)
+    which = np.clip([np.where(pick, beside, pixel) for pick in picks], 0, size - 1).astype(int)
     columns, rows = which[..., 0], which[..., 1]
     depth = view.depth[rows, columns].astype(np.float64)
     centers = which + 0.5

@@ -59,8 +59,8 @@ def with_trailers(points: Array, moment: Moment, vehicles: Sequence[Vehicle]) ->
         if vehicle.trailer is None:
             continue
         T = moment.T_world_trailer[i, 0]
-        own = vehicle.points[ON_TRAILER] - vehicle.trailer.hinge * [1, 1, 0]
-        out[i, ON_TRAILER] = own @ T[:3, :3].T + T[:3, 3]
+        from_hinge = vehicle.points[ON_TRAILER] - vehicle.trailer.hinge * [1, 1, 0]
+        out[i, ON_TRAILER] = from_hinge @ T[:3, :3].T + T[:3, 3]
     return out
 
 

@@ -52,19 +52,19 @@ def card_summary(card: Card) -> str:
         return f"Images of vehicles with 33 keypoints each{_scheme(card)}."
     size, sites = card.get("parameters", {}).get("size"), len(counts.get("by_site", {}))
     ignored = sum(counts.get("ignored", {}).values())
-    others = [f", {row['ground_truth']} {name}s" for name, row in _by_category(card).items()]
+    category_texts = [f", {row['ground_truth']} {name}s" for name, row in _by_category(card).items()]
     ignored_text = f", and {ignored} more that are marked as ignored" if ignored else ""
     return (
         f"{counts['images']} images{f' of {size} pixels' if size else ''}"
         f"{f' from {sites} camera site' + ('s' if sites > 1 else '') if sites else ''} with "
-        f"{counts['ground_truth']} vehicles of 33 keypoints each{_scheme(card)}{''.join(others)}{ignored_text}."
+        f"{counts['ground_truth']} vehicles of 33 keypoints each{_scheme(card)}{''.join(category_texts)}{ignored_text}."
     )
 
 
 def _by_category(card: Card) -> dict[str, Mapping[str, int]]:
     """Return the counts of each labelled category without keypoints."""
-    told = card.get("counts", {}).get("by_category", {})
-    return {name: told.get(name, {"ground_truth": 0, "ignored": 0}) for name in card.get("categories", ())[1:]}
+    stated = card.get("counts", {}).get("by_category", {})
+    return {name: stated.get(name, {"ground_truth": 0, "ignored": 0}) for name in card.get("categories", ())[1:]}
 
 
 def _scheme(card: Card) -> str:
@@ -99,24 +99,25 @@ def made(card: Card) -> list[str]:
     values, versions = card.get("parameters", {}), card.get("versions", {})
     if not values:
         return []
-    own, fleet = values.get("own"), card.get("fleet", {})
-    if own:
-        place = (
-            f"of the site file {own['file']}, {'on a photograph of the empty road' if own['photograph'] else 'drawn'}"
+    user_site, fleet = values.get("own"), card.get("fleet", {})
+    if user_site:
+        cameras = (
+            f"of the site file {user_site['file']}, "
+            f"{'on a photograph of the empty road' if user_site['photograph'] else 'drawn'}"
         )
     else:
-        place = "of sites in seven invented towns (`skope gen sites` lists them)"
+        cameras = "of sites in seven invented towns (`skope gen sites` lists them)"
     return [
         "All scenes are simulated and rendered. All labels are computed, and the same command gives the same labels "
         f"again (seed {card.get('seed')}).",
-        f"The traffic is simulated by SUMO, past cameras {place}. Vehicles are bodies with sprung wheels in pybullet, "
-        "and their keypoints follow from the poses of these bodies.",
+        f"The traffic is simulated by SUMO, past cameras {cameras}. Vehicles are bodies with sprung wheels in "
+        "pybullet, and their keypoints follow from the poses of these bodies.",
         f"Images are rendered by `{card.get('renderer')}`; each recording has its own weather, light, exposure, noise "
         "and lens. Visibility is computed from the depth and instance images of the same frame.",
         *_asked(values),
         *(
             [f"Models that appear at test sites only: {', '.join(fleet['held_out'])}."]
-            if fleet.get("held_out") and not own
+            if fleet.get("held_out") and not user_site
             else []
         ),
         f"Versions: {', '.join(f'{name} {version}' for name, version in versions.items())}.",
@@ -125,29 +126,29 @@ def made(card: Card) -> list[str]:
 
 def _asked(values: Mapping[str, Any]) -> list[str]:
     """Return sentences on the requested light and traffic."""
-    said = [
-        f"{what} is always {' or '.join(names)}, as requested."
-        for what, names in (("The weather", values.get("weather")), ("The time of day", values.get("time_of_day")))
+    sentences = [
+        f"{subject} is always {' or '.join(names)}, as requested."
+        for subject, names in (("The weather", values.get("weather")), ("The time of day", values.get("time_of_day")))
         if names
     ]
     share = values.get("vehicle_share")
     if share:
-        said.append(f"{share:.0%} of the traffic is of the requested models: {', '.join(values['vehicles'])}.")
-    return said
+        sentences.append(f"{share:.0%} of the traffic is of the requested models: {', '.join(values['vehicles'])}.")
+    return sentences
 
 
 def _rules_in_numbers(card: Card) -> list[str]:
     taken, apart = card.get("occlusion_rules", {}), card.get("localizer_difference_m", {})
     known = [f"{name} {value:.4f} m" for name, value in apart.items() if value is not None]
-    said = []
+    sentences = []
     if taken:
-        said.append(
+        sentences.append(
             f"The occlusion rule `others` applies to {taken['taken_by_others']} of {taken['vehicles']} vehicles, "
             f"the rule `paper` to {taken['taken_by_paper']}."
         )
     if known:
-        said.append(f"Distance between keypoints of trilateration and the rigid transform: {', '.join(known)}.")
-    return said
+        sentences.append(f"Distance between keypoints of trilateration and the rigid transform: {', '.join(known)}.")
+    return sentences
 
 
 def _balance(card: Card) -> list[Table]:
@@ -173,8 +174,8 @@ def _balance(card: Card) -> list[Table]:
         heads = {"ground_truth": "vehicles"}
         head = [key.replace("_", " "), *(heads.get(c, c) for c in columns), "of vehicles"]
         tables.append(Table(caption=title, head=head, rows=rows, sortable=True))
-    if others := _by_category(card):
-        rows = [[name, str(row["ground_truth"]), str(row["ignored"])] for name, row in others.items()]
+    if category_counts := _by_category(card):
+        rows = [[name, str(row["ground_truth"]), str(row["ignored"])] for name, row in category_counts.items()]
         tables.append(
             Table(caption="Other road users", head=["category", "ground_truth", "ignored"], rows=rows, sortable=True)
         )
@@ -184,27 +185,27 @@ def _balance(card: Card) -> list[Table]:
 def limits(card: Card) -> list[str]:
     """Return the limits that a user must know before relying on a dataset."""
     fleet, depth = card.get("fleet", {}), card.get("depth", "")
-    said = [
+    sentences = [
         "Not validated for safety or enforcement: neither this dataset nor a detector trained on it has been validated "
         "for safety-related functions, or for measuring and prosecuting offences.",
     ]
     if not card.get("parameters"):
-        return said
-    said += [
+        return sentences
+    sentences += [
         "The images are synthetic. A detector trained only on them finds fewer vehicles in photographs: evaluate it on "
         "labelled footage of the road where you want to use it, and fine-tune it there.",
         _left_unlabelled(card),
         "Hidden keypoints (v = 1) are exact, unlike those in manual labels of photographs.",
     ]
     if fleet.get("substituted"):
-        said.append(
+        sentences.append(
             "A body without a certain part has the keypoint at the nearest equivalent: "
             + "; ".join(f"{name} ({len(points)})" for name, points in fleet["substituted"].items())
             + " (dataset.json names them)."
         )
     if depth and depth != "none":
-        said.append("Depth files store distances up to 255.99 m.")
-    return said
+        sentences.append("Depth files store distances up to 255.99 m.")
+    return sentences
 
 
 def _left_unlabelled(card: Card) -> str:

@@ -149,7 +149,7 @@ def _folder(sums: Mapping[str, str], types: str, categories: Sequence[str]) -> J
     for name, (rows, description, fields) in RECORD_SETS.items():
         if rows == "annotations" and categories:
             description = "Annotated road users of all splits; COCO keypoints, one file per split."
-            ids = ", ".join(f"{schema.CATEGORY_NAMES.index(one) + 1} {one}" for one in categories)
+            ids = ", ".join(f"{schema.CATEGORY_NAMES.index(category) + 1} {category}" for category in categories)
             # Readers put columns side by side, so no column may be missing in some rows.
             fields = {key: value for key, value in fields.items() if key != "vehicle_type"}
             fields["category_id"] = ("sc:Integer", f"One of {ids}.")

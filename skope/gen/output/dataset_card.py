@@ -33,7 +33,7 @@ def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
         counts: Counts of images and vehicles in the whole dataset.
     """
     parameters, variation = plan.parameters, plan.parameters.variation
-    own, solid = parameters.own, parameters.renderer == "pybullet"
+    user_site, solid = parameters.own, parameters.renderer == "pybullet"
     asked = {name: fleet()[name] for name in parameters.vehicles if name in fleet()}
     models = {**fleet(further=variation.further_models), **asked}
     return {
@@ -64,7 +64,9 @@ def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
         },
         "versions": dict(parameters.versions),
         **plan.to_dict(),
-        "licence": PHOTOGRAPH_RIGHTS.format(parameters.licence) if own and own.photograph else parameters.licence,
+        "licence": PHOTOGRAPH_RIGHTS.format(parameters.licence)
+        if user_site and user_site.photograph
+        else parameters.licence,
     }
 
 

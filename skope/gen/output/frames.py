@@ -68,8 +68,8 @@ def frames_of(
         view = renderer.render(frame)
         moment, camera = recording.moment(frame), recording.camera
         annotations, tally = annotate(moment, view, camera, rules, image_id=0)
-        others = annotate_road_users(moment, view, camera, rules, 0, 1) if recording.road_users else []
-        yield files_of(recording, frame, view, annotations, tally, encoding, others)
+        road_users = annotate_road_users(moment, view, camera, rules, 0, 1) if recording.road_users else []
+        yield files_of(recording, frame, view, annotations, tally, encoding, road_users)
 
 
 def files_of(

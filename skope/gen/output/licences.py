@@ -127,15 +127,17 @@ def united(licences: Sequence[str]) -> str:
     """Return the licence of a dataset with parts under `licences`; a UserError names an incompatible pair."""
     different = list(dict.fromkeys(licences))
     parts = {licence: licence.split(LICENCE_SEPARATOR) for licence in different}
-    known = {part: licence_terms(part) for own in parts.values() for part in own}
-    pairs = (pair for one, two in itertools.permutations(parts.values(), 2) for pair in itertools.product(one, two))
-    for licence, other in pairs:
-        terms, others = known[licence], known[other]
-        alone = terms is not None and "ND" in terms and others != terms
+    known = {part: licence_terms(part) for part_licences in parts.values() for part in part_licences}
+    pairs = (
+        pair for first, second in itertools.permutations(parts.values(), 2) for pair in itertools.product(first, second)
+    )
+    for licence, other_licence in pairs:
+        terms, other_terms = known[licence], known[other_licence]
+        alone = terms is not None and "ND" in terms and other_terms != terms
         # Share-alike material stays under its own licence, so the other part must not add conditions.
-        alike = terms is not None and "SA" in terms and (others is None or not others <= terms)
+        alike = terms is not None and "SA" in terms and (other_terms is None or not other_terms <= terms)
         if alone or alike:
-            raise UserError(f"licence: {licence!r} cannot be combined with {other!r}")
+            raise UserError(f"licence: {licence!r} cannot be combined with {other_licence!r}")
     if len(different) == 1 or None in known.values():
         return LICENCE_SEPARATOR.join(known)
     everything = frozenset[str]().union(*(terms for terms in known.values() if terms is not None))

@@ -109,14 +109,14 @@ class Parameters:
         """
         if not isinstance(values, Mapping):
             raise UserError(f"{where}: expected an object, got {shown(values)}")
-        own = [field.name for field in (*fields(cls), *fields(Variation)) if field.name != "variation"]
-        check_known(values, own, where)
+        field_names = [field.name for field in (*fields(cls), *fields(Variation)) if field.name != "variation"]
+        check_known(values, field_names, where)
         varied = {field.name for field in fields(Variation)} & values.keys()
         variation = dataclass_of(Variation, {name: values[name] for name in varied}, where)
-        others = {name: value for name, value in values.items() if name not in varied}
-        if (edition := others.get("keypoint_edition")) != keypoints.EDITION:
+        fixed = {name: value for name, value in values.items() if name not in varied}
+        if (edition := fixed.get("keypoint_edition")) != keypoints.EDITION:
             raise UserError(f"{where}.keypoint_edition: expected {keypoints.EDITION}, got {shown(edition)}")
-        return dataclass_of(cls, {**others, "variation": variation}, where)
+        return dataclass_of(cls, {**fixed, "variation": variation}, where)
 
 
 @dataclass(frozen=True)

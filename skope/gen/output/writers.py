@@ -269,10 +269,10 @@ def categories_field(categories: tuple[str, ...]) -> dict[str, Any]:
 
 def label_fields(vehicles: Iterable[Annotation], road_users: Iterable[RoadUser]) -> dict[str, Any]:
     """Return the fields of `Labels` for a frame's vehicles, followed by its other road users."""
-    own, others = list(vehicles), list(road_users)
-    rows = [*map(coco.annotation_to_dict, own), *map(coco.road_user_to_dict, others)]
-    kinds = [count_kind(vehicle.iscrowd, vehicle.vehicle_type) for vehicle in own]
-    kinds += [count_kind(user.iscrowd, None, user.category) for user in others]
+    annotations, users = list(vehicles), list(road_users)
+    rows = [*map(coco.annotation_to_dict, annotations), *map(coco.road_user_to_dict, users)]
+    kinds = [count_kind(vehicle.iscrowd, vehicle.vehicle_type) for vehicle in annotations]
+    kinds += [count_kind(user.iscrowd, None, user.category) for user in users]
     return {"rows": list(map(json_bytes, rows)), "kinds": kinds}
 
 
@@ -331,9 +331,9 @@ def frames_of_split(dataset: Dataset, split: str) -> Iterator[FrameFiles]:
             tally = manifest["tallies"][image["file_name"]]
             for key, folder in (("file_name", "images"), ("depth_file_name", "depth")):
                 if key in image:
-                    there = image[key]
-                    image[key] = f"{folder}/{name}{Path(there).suffix}"
-                    files[image[key]], sums[image[key]] = dataset.root / there, manifest["sha256"][there]
+                    path = image[key]
+                    image[key] = f"{folder}/{name}{Path(path).suffix}"
+                    files[image[key]], sums[image[key]] = dataset.root / path, manifest["sha256"][path]
         except KeyError as error:
             raise UserError(f"{dataset.root / MANIFEST_FILE}: has no entry for {error}") from None
         # Other tools may have rewritten the file, so the ids are put first, as `_with_ids` requires.
@@ -344,9 +344,9 @@ def frames_of_split(dataset: Dataset, split: str) -> Iterator[FrameFiles]:
 
 def _kind_of_row(row: Mapping[str, Any], categories: tuple[str, ...]) -> CountKind:
     number = row.get("category_id", CATEGORY_ID)
-    other = len(categories) > 1 and number in ROAD_USER_IDS
+    is_road_user = len(categories) > 1 and number in ROAD_USER_IDS
     return count_kind(
-        row["iscrowd"], row.get("vehicle_type"), CATEGORY_NAMES[number - 1] if other else CATEGORY_NAMES[0]
+        row["iscrowd"], row.get("vehicle_type"), CATEGORY_NAMES[number - 1] if is_road_user else CATEGORY_NAMES[0]
     )
 
 
@@ -361,8 +361,8 @@ def rows_of(dataset: Dataset, split: str) -> Iterator[tuple[dict[str, Any], list
     path = dataset.root / "annotations" / f"{split}.json"
     document = read_json(path)
     coco.images_of(path, document["images"])
-    own: dict[int, list[Any]] = {image["id"]: [] for image in document["images"]}
+    rows_by_image: dict[int, list[Any]] = {image["id"]: [] for image in document["images"]}
     for annotation in document["annotations"]:
-        own[annotation["image_id"]].append(annotation)
+        rows_by_image[annotation["image_id"]].append(annotation)
     for image in document["images"]:
-        yield image, own[image["id"]]
+        yield image, rows_by_image[image["id"]]

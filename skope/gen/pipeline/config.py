@@ -56,7 +56,7 @@ LIGHT_TURNS: Final = 30
 
 
 def in_its_light(
-    own: Site, index: int, seed: int, traffic: Range | None = None, lights: Sequence[str] | None = None
+    base: Site, index: int, seed: int, traffic: Range | None = None, lights: Sequence[str] | None = None
 ) -> Site:
     """Return a site with the weather, hour and traffic of its recording `index`.
 
@@ -68,30 +68,30 @@ def in_its_light(
     recordings show all of them.
     """
     splits = preset_tables()["splits"]
-    split = splits.get(own.split, splits["train"])
-    busy = _with_traffic(own, index, seed, traffic or split["traffic"])
+    split = splits.get(base.split, splits["train"])
+    busy = _with_traffic(base, index, seed, traffic or split["traffic"])
     if index == 0:
-        return busy if traffic else own
+        return busy if traffic else base
     if lights:
-        return _under_light(busy, lights[(index + _first_light(own, seed, 0)) % len(lights)])
+        return _under_light(busy, lights[(index + _first_light(base, seed, 0)) % len(lights)])
     lights = split["light"]
-    if own.road:
+    if base.road:
         # The site file determines the light of the first recording, so the others use other hours.
-        lights = [light for light in lights if light.split()[1] != own.time_of_day]
+        lights = [light for light in lights if light.split()[1] != base.time_of_day]
     return _under_light(busy, lights[(index - 1) % len(lights)])
 
 
-def in_its_split(own: Site, index: int, seed: int, splits: Sequence[str]) -> Site:
+def in_its_split(base: Site, index: int, seed: int, splits: Sequence[str]) -> Site:
     """Return a site in the split of its recording `index`, with the light and traffic of that split in `presets.toml`.
 
     The recordings cycle through the splits. Each time a split returns, its next light is used; the first one is drawn
     with `seed`.
     """
-    turn, place = divmod(index, len(splits))
-    table = preset_tables()["conditions"][splits[place]]
-    busy = _with_traffic(replace(own, split=splits[place]), index, seed, table["traffic"])
+    turn, split_index = divmod(index, len(splits))
+    table = preset_tables()["conditions"][splits[split_index]]
+    busy = _with_traffic(replace(base, split=splits[split_index]), index, seed, table["traffic"])
     lights = table["light"]
-    lit = _under_light(busy, lights[(turn + _first_light(own, seed, place)) % len(lights)])
+    lit = _under_light(busy, lights[(turn + _first_light(base, seed, split_index)) % len(lights)])
     return replace(lit, conditions={**lit.conditions, **range_pairs(table.get("settings", {}))})
 
 
@@ -108,9 +108,9 @@ def in_asked_light(planned: Site, index: int, seed: int, weathers: Sequence[str]
     if times_of_day and time_of_day not in times_of_day:
         # Weathers change faster than hours, so that all combinations occur.
         time_of_day = times_of_day[turn // max(len(weathers), 1) % len(times_of_day)]
-    other_weather = _OF_WEATHER if weather != planned.weather else ()
-    other_hour = _OF_HOUR if time_of_day != planned.time_of_day else ()
-    fixed = _without(planned.conditions, other_weather + other_hour)
+    weather_fields = _OF_WEATHER if weather != planned.weather else ()
+    hour_fields = _OF_HOUR if time_of_day != planned.time_of_day else ()
+    fixed = _without(planned.conditions, weather_fields + hour_fields)
     return replace(planned, weather=weather, time_of_day=time_of_day, conditions=fixed)
 
 
@@ -121,21 +121,21 @@ def varied(planned: Site) -> Site:
     return replace(planned, conditions={**range_pairs(wide), **planned.conditions})
 
 
-def _first_light(own: Site, seed: int, place: int) -> int:
-    """Return the position in a cycle of lights at which a site starts; each `place` has its own draw."""
-    return int(rng(seed, own.name, place, Stream.ASKED_LIGHT).integers(LIGHT_TURNS))
+def _first_light(base: Site, seed: int, draw_index: int) -> int:
+    """Return the position in a cycle of lights at which a site starts; each `draw_index` has its own draw."""
+    return int(rng(seed, base.name, draw_index, Stream.ASKED_LIGHT).integers(LIGHT_TURNS))
 
 
-def _with_traffic(own: Site, index: int, seed: int, traffic: Range) -> Site:
-    share = rng(seed, own.name, index, Stream.TRAFFIC_SHARE).uniform(*traffic)
-    return replace(own, vehicles_per_hour=round(own.vehicles_per_hour * share, 1))
+def _with_traffic(base: Site, index: int, seed: int, traffic: Range) -> Site:
+    share = rng(seed, base.name, index, Stream.TRAFFIC_SHARE).uniform(*traffic)
+    return replace(base, vehicles_per_hour=round(base.vehicles_per_hour * share, 1))
 
 
-def _under_light(own: Site, light: str) -> Site:
+def _under_light(base: Site, light: str) -> Site:
     """Return a site in a light such as "clear noon"."""
     weather, time_of_day = light.split()
-    fixed = _without(own.conditions, _OF_WEATHER + _OF_HOUR)
-    return replace(own, weather=weather, time_of_day=time_of_day, conditions=fixed)
+    fixed = _without(base.conditions, _OF_WEATHER + _OF_HOUR)
+    return replace(base, weather=weather, time_of_day=time_of_day, conditions=fixed)
 
 
 def _without(conditions: Mapping[str, Range], names: Sequence[str]) -> dict[str, Range]:
@@ -154,7 +154,7 @@ class DatasetRequest:
     """
 
     parameters: Parameters
-    own: OwnSite | None = None
+    user_site: OwnSite | None = None
 
     def __post_init__(self) -> None:
         p = self.parameters
@@ -187,8 +187,8 @@ class DatasetRequest:
         check_whole("--views", p.variation.views, 0, 16)
         if p.variation.largest_vehicle:
             camera_sampling.check_largest_vehicle(p.variation.largest_vehicle)
-        if self.own:
-            self._check_own(self.own)
+        if self.user_site:
+            self._check_user_site(self.user_site)
 
     def _check_vehicles(self) -> None:
         p = self.parameters
@@ -221,35 +221,36 @@ class DatasetRequest:
                     lens = Distortion(model, (k1, 0.0, 0.0, 0.0))
                     pinhole_of(self.site(p.sites[0]).camera(p.pixels(), widest, lens))
 
-    def _check_own(self, own: OwnSite) -> None:
+    def _check_user_site(self, user_site: OwnSite) -> None:
         p, variation = self.parameters, self.parameters.variation
-        if p.recordings != len(own.splits):
+        if p.recordings != len(user_site.splits):
             raise UserError(
-                f"--recordings: expected {len(own.splits)}, as {own.path} has that number of splits, got {p.recordings}"
+                f"--recordings: expected {len(user_site.splits)}, as {user_site.path} has that number of splits, "
+                f"got {p.recordings}"
             )
-        camera, photograph, (width, height) = own.road.camera, own.road.photograph, p.pixels()
+        camera, photograph, (width, height) = user_site.road.camera, user_site.road.photograph, p.pixels()
         if abs(width * camera.height / (height * camera.width) - 1) > 0.01:
             raise UserError(
-                f"--size {p.size}: the camera of {own.path} has {camera.width}x{camera.height}; "
+                f"--size {p.size}: the camera of {user_site.path} has {camera.width}x{camera.height}; "
                 "expected a size with the same aspect ratio"
             )
         lens = next((name for name in ("k1", "fisheye") if name in variation.settings), None)
         if lens and (photograph or camera.distortion.model != "none"):
-            raise UserError(f"--set {lens}: {own.path} already sets the distortion of its camera")
+            raise UserError(f"--set {lens}: {user_site.path} already sets the distortion of its camera")
         if photograph and (p.weather or p.time_of_day):
             flag = "--weather" if p.weather else "--time-of-day"
-            raise UserError(f"{flag}: {own.path} has a photograph, which sets the light of all recordings")
+            raise UserError(f"{flag}: {user_site.path} has a photograph, which sets the light of all recordings")
         if variation.views or variation.town_jitter:
             flag = "--views" if variation.views else "--town-jitter"
-            raise UserError(f"{flag}: {own.path} is a road of your own; only towns of the package can vary")
+            raise UserError(f"{flag}: {user_site.path} is a road of your own; only towns of the package can vary")
         if variation.cameras and photograph:
-            raise UserError(f"{own.path}: a photograph shows the road from one camera only; cameras cannot vary")
+            raise UserError(f"{user_site.path}: a photograph shows the road from one camera only; cameras cannot vary")
         if variation.cameras.keys() & {"fov_deg", "height_m", "pitch_deg"}:
-            raise UserError(f"--preset {p.preset}: {own.path} sets the pose of its camera (try --camera-jitter)")
+            raise UserError(f"--preset {p.preset}: {user_site.path} sets the pose of its camera (try --camera-jitter)")
 
     def site(self, name: str) -> Site:
         """Return the site with the given name; raise a UserError that lists those of the package if there is none."""
-        return self.own.site if self.own else site(name)
+        return self.user_site.site if self.user_site else site(name)
 
     def plans(self) -> list[RecordingPlan]:
         """Return one plan per recording, site by site; a site's frames are divided evenly among its recordings."""
@@ -283,22 +284,22 @@ class DatasetRequest:
     def _in_its_light(self, name: str, index: int) -> Site:
         """Return the site with the weather, hour and traffic of its recording `index`."""
         p, row = self.parameters, presets()[self.parameters.preset]
-        if self.own is not None:
-            own = replace(self.own.site, split=self.own.splits[index])
+        if self.user_site is not None:
+            base = replace(self.user_site.site, split=self.user_site.splits[index])
             # A photograph shows one light, so all recordings have it.
-            planned = own if self.own.road.photograph else in_its_light(own, index, p.seed)
+            planned = base if self.user_site.road.photograph else in_its_light(base, index, p.seed)
         elif "splits" in row:
             planned = in_its_split(site(name), index, p.seed, row["splits"])
         else:
             planned = in_its_light(site(name), index, p.seed, p.traffic, row.get("light"))
         lit = in_asked_light(planned, index, p.seed, p.weather, p.time_of_day)
-        return varied(lit) if row.get("varied_light") and self.own is None else lit
+        return varied(lit) if row.get("varied_light") and self.user_site is None else lit
 
     def _asked_vehicles(self, plan: RecordingPlan) -> dict[str, Any]:
         """Return the plan's fields for requested models, or for the heavy vehicles of the preset or split."""
         p, row = self.parameters, presets()[self.parameters.preset]
-        share = None if self.own else preset_tables()["conditions"].get(plan.site.split, {}).get("heavy")
-        if "heavy" in row and not self.own:
+        share = None if self.user_site else preset_tables()["conditions"].get(plan.site.split, {}).get("heavy")
+        if "heavy" in row and not self.user_site:
             share = round(float(plan.shared_rng(Stream.HEAVY_SHARE).uniform(*row["heavy"])), 3) or None
         if p.vehicles or share is None:
             return {"vehicles": tuple(p.vehicles), "vehicle_share": p.vehicle_share}
@@ -339,7 +340,7 @@ def from_preset(
     driver: str,
     rules: Rules,
     frames: int | None = None,
-    own: OwnSite | None = None,
+    user_site: OwnSite | None = None,
     camera_jitter: bool = False,
     settings: Mapping[str, Range] | None = None,
     **overrides: Any,
@@ -353,7 +354,7 @@ def from_preset(
         driver: Driver of the renderer, as `choose_renderer` names it.
         rules: Rules for labels and ignored road users.
         frames: Frames per site; replaces the preset's number.
-        own: User's own site, which replaces the preset's sites; its file gives the camera and the image size.
+        user_site: User's own site, which replaces the preset's sites; its file gives the camera and the image size.
         camera_jitter: Whether the pose of the camera varies slightly between recordings.
         settings: Ranges of conditions that override those of the preset.
         overrides: Other fields of `Parameters`, or of its `variation`; None keeps the preset's value.
@@ -367,12 +368,15 @@ def from_preset(
     values["time_of_day"] = tuple(row.get("time_of_day", ()))
     of_splits = (name for split in row["frames"] for name in sites() if site(name).split == split)
     values["sites"] = tuple(row.get("sites", of_splits))
-    if own is not None:
-        own, camera = own.with_recordings(overrides.get("recordings") or row["recordings"]), own.road.camera
+    if user_site is not None:
+        user_site, camera = (
+            user_site.with_recordings(overrides.get("recordings") or row["recordings"]),
+            user_site.road.camera,
+        )
         values |= {
-            "own": _record_of(own),
-            "sites": (own.site.name,),
-            "recordings": len(own.splits),
+            "own": _record_of(user_site),
+            "sites": (user_site.site.name,),
+            "recordings": len(user_site.splits),
             "size": f"{camera.width}x{camera.height}",
             "fov_deg": round(math.degrees(2 * math.atan(camera.width / 2 / camera.K[0, 0])), 3),
         }
@@ -396,14 +400,14 @@ def from_preset(
     parameters = Parameters(
         preset=preset, seed=seed, renderer=renderer, driver=driver, rules=rules, variation=variation, **values
     )
-    return DatasetRequest(parameters, own)
+    return DatasetRequest(parameters, user_site)
 
 
-def _record_of(own: OwnSite) -> OwnSiteRecord:
+def _record_of(user_site: OwnSite) -> OwnSiteRecord:
     return OwnSiteRecord(
-        file=own.path.name,
-        digests=dict(own.digests),
-        town=own.road.name,
-        photograph=bool(own.road.photograph),
-        splits=own.splits,
+        file=user_site.path.name,
+        digests=dict(user_site.digests),
+        town=user_site.road.name,
+        photograph=bool(user_site.road.photograph),
+        splits=user_site.splits,
     )

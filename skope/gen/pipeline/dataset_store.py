@@ -81,7 +81,7 @@ class Store:
         """Return the plan of the folder's dataset, or None; raise a UserError if `wanted` cannot be made there."""
         begun = self.read_plan()
         if begun is not None:
-            self._refuse_other_parameters(begun, wanted)
+            self._check_same_parameters(begun, wanted)
         elif self.root.is_dir() and any(path.name != ".lock" for path in self.root.iterdir()):
             raise UserError(f"{self.root}: contains other files and no dataset; choose an empty folder with --out")
         return begun
@@ -97,8 +97,8 @@ class Store:
         begun = self._begun(wanted)
         if begun is None or not self.complete:
             return {info: len(self.missing(info)) for info in wanted.recordings}
-        there = {(info.site, info.name): info.frames for info in begun.recordings}
-        return {info: info.frames - there.get((info.site, info.name), 0) for info in wanted.recordings}
+        existing = {(info.site, info.name): info.frames for info in begun.recordings}
+        return {info: info.frames - existing.get((info.site, info.name), 0) for info in wanted.recordings}
 
     def read_plan(self) -> DatasetPlan | None:
         """Read the plan of the folder's dataset from `.work/` or, if it is complete, from its card.
@@ -133,7 +133,7 @@ class Store:
         """Save the renderer, driver and versions of a dataset that was simulated without them."""
         self._write_plan(replace(self.plan, parameters=parameters))
 
-    def _refuse_other_parameters(self, begun: DatasetPlan, wanted: DatasetPlan) -> None:
+    def _check_same_parameters(self, begun: DatasetPlan, wanted: DatasetPlan) -> None:
         was, now = begun.parameters, wanted.parameters
         if not was.renderer:  # simulated on another machine, to be rendered here
             was = replace(was, renderer=now.renderer, driver=now.driver, versions=now.versions)

@@ -143,7 +143,7 @@ def _rendering(
         return pair[0] + pair[1] * megapixels
 
     lights = [of(rate.wet_light if plan.site.weather in WET_WEATHERS else rate.light) for plan in plans]
-    if request.own and request.own.road.photograph:
+    if request.user_site and request.user_site.road.photograph:
         lights = []
     lighting = max(sum(lights) / cores, max(lights, default=0.0) / WORK_RATES.light_parts)
     grown = (

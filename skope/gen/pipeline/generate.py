@@ -22,11 +22,11 @@ from skope.terminal.console import Console, disk_size, minutes
 
 def lighting_messages(console: Console) -> Callable[[str], None]:
     """Return a function that reports each site once, when its light is computed."""
-    said = set[str]()
+    reported = set[str]()
 
     def say(site: str) -> None:
-        if site not in said:
-            said.add(site)
+        if site not in reported:
+            reported.add(site)
             console.say(f"computing the light of {site}")
 
     return say

@@ -159,8 +159,8 @@ def ray_pool(count: int | None, address: str | None) -> Iterator[WorkerPool]:
         import ray
     except ImportError:
         raise UserError("--engine ray: Ray is not installed; install it with pip install skope[ray]") from None
-    own = not ray.is_initialized()
-    if own:
+    started_here = not ray.is_initialized()
+    if started_here:
         quiet: dict[str, Any] = {"logging_level": "error", "log_to_driver": False, "include_dashboard": False}
         try:
             ray.init(address=address, **quiet)
@@ -172,5 +172,5 @@ def ray_pool(count: int | None, address: str | None) -> Iterator[WorkerPool]:
             raise UserError(f"--workers {count or cores}: the Ray cluster has {cores} cores")
         yield RayPool(ray, count or cores)
     finally:
-        if own:
+        if started_here:
             ray.shutdown()

@@ -99,7 +99,7 @@ class JobQueue:
             if frames
         }
         self._order = list(self._left)
-        self._place = {recording: place for place, recording in enumerate(self._order)}
+        self._position = {recording: position for position, recording in enumerate(self._order)}
         self._views = views
         self._untouched = {0: len(self._order)} if self._order else {}
         """Runs of unassigned recordings as positions in `_order`: first position -> last position + 1."""
@@ -112,7 +112,7 @@ class JobQueue:
         recording = holding
         if recording not in self._left:
             if self._untouched:
-                recording = self._order[self._claim_place(0 if recording is None else self._place[recording] + 1)]
+                recording = self._order[self._claim_position(0 if recording is None else self._position[recording] + 1)]
             else:
                 recording = max(self._left, key=lambda t: len(self._left[t]))
         assert recording is not None
@@ -121,7 +121,7 @@ class JobQueue:
             del self._left[recording]
         return job
 
-    def _claim_place(self, wanted: int) -> int:
+    def _claim_position(self, wanted: int) -> int:
         """Take a recording out of `_untouched` and return its position in `_order`.
 
         It is the recording at `wanted` if a run begins there, else one in the middle of the longest run.
@@ -139,13 +139,13 @@ class JobQueue:
     def _begin_of_town(self, first: int, middle: int) -> int:
         """Return the position of the first recording of the town at `middle`; `middle` if `first` has the same town."""
 
-        def town(place: int) -> tuple[str, int]:
-            recording = self._order[place]
+        def town(position: int) -> tuple[str, int]:
+            recording = self._order[position]
             return recording.site, int(recording.name) // self._views
 
         if self._views == 0 or town(first) == town(middle):
             return middle
-        return next(place for place in range(first, middle + 1) if town(place) == town(middle))
+        return next(position for position in range(first, middle + 1) if town(position) == town(middle))
 
     def put_back(self, job: RenderJob) -> None:
         """Return a job to the queue after its worker was lost."""

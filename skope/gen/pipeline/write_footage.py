@@ -55,7 +55,7 @@ def plan_of(plan: RecordingPlan, fps: float, seconds: float, size_field: str = "
         UserError: The frame rate, the length or the size (odd numbers of pixels) is not possible.
     """
     if fps not in FRAME_RATES:
-        raise UserError(f"--fps: expected one of {', '.join(f'{one:g}' for one in FRAME_RATES)}, got {fps:g}")
+        raise UserError(f"--fps: expected one of {', '.join(f'{rate:g}' for rate in FRAME_RATES)}, got {fps:g}")
     if not 0 < seconds <= 3600:
         raise UserError(f"--seconds: expected a number of seconds up to 3600, got {seconds:g}")
     width, height = plan.size
@@ -66,14 +66,14 @@ def plan_of(plan: RecordingPlan, fps: float, seconds: float, size_field: str = "
 
 def check_free(footage: WrittenFootage, options: Mapping[str, Any]) -> None:
     """Raise a UserError if one of the files exists, unless the label file records the same `options`."""
-    there = [path for path in (footage.video, footage.labels, footage.overlay) if path and path.exists()]
-    if not there:
+    existing = [path for path in (footage.video, footage.labels, footage.overlay) if path and path.exists()]
+    if not existing:
         return
     held = _options_of(footage.labels)
     if held == options:
         return
-    what = f"belongs to other footage ({', '.join(changed_options(held, options))})" if held else "has no label file"
-    raise UserError(f"{there[0]}: exists and {what}; choose another folder with --out, or move it away")
+    reason = f"belongs to other footage ({', '.join(changed_options(held, options))})" if held else "has no label file"
+    raise UserError(f"{existing[0]}: exists and {reason}; choose another folder with --out, or move it away")
 
 
 def _options_of(labels: Path) -> Mapping[str, Any]:
@@ -83,8 +83,8 @@ def _options_of(labels: Path) -> Mapping[str, Any]:
     except UserError:
         return {}
     info = document.get("info") if isinstance(document, dict) else None
-    told = info.get("options") if isinstance(info, dict) else None
-    return told if isinstance(told, dict) else {}
+    options = info.get("options") if isinstance(info, dict) else None
+    return options if isinstance(options, dict) else {}
 
 
 def write_footage(
@@ -126,17 +126,17 @@ def write_footage(
         drawn = stack.enter_context(_whole_video(footage.overlay, size, fps)) if footage.overlay else None
         drawn_by = make_renderer(renderer, recording, partial(lighting_messages(console), name))
         frames = _render_frames(recording, drawn_by, footage.video.name)
-        for pixels, image, vehicles, others in console.bar(
+        for pixels, image, vehicles, users in console.bar(
             frames, total=len(recording), unit="image", label="rendering"
         ):
             before = len(annotations) + len(road_users)
             numbered = [replace(vehicle, id=before + i) for i, vehicle in enumerate(vehicles, start=1)]
             plain.add(pixels)
             if drawn:
-                drawn.add(draw.annotations(pixels, numbered, others))
+                drawn.add(draw.annotations(pixels, numbered, users))
             images.append(image)
             annotations += numbered
-            road_users += [replace(user, id=before + user.id) for user in others]
+            road_users += [replace(user, id=before + user.id) for user in users]
         info = {"split": recording.split, "video": footage.video.name, "fps": fps, "options": dict(options)}
         file = AnnotationFile(
             images=tuple(images),
@@ -160,8 +160,8 @@ def _render_frames(
         moment, image = recording.moment(frame), image_of(recording, frame, f"{video}/{frame:06d}", frame + 1)
         vehicles, _ = annotate(moment, view, camera, rules, image.id)
         first = len(vehicles) + 1
-        others = annotate_road_users(moment, view, camera, rules, image.id, first) if recording.road_users else []
-        yield view.rgb, image, vehicles, others
+        road_users = annotate_road_users(moment, view, camera, rules, image.id, first) if recording.road_users else []
+        yield view.rgb, image, vehicles, road_users
 
 
 @contextmanager

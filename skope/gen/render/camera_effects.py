@@ -267,5 +267,5 @@ def with_metered_noise(
     conditions = recording.conditions
     blotches_px = NIGHT_SENSOR.blotches_px if conditions.denoising > 0 else 0.0
     field = _left_noise(*clean.shape[:2], grey(conditions), blotches_px)
-    own = cv2.multiply(cv2.LUT(clean, noise), field[_noise_window(clean, recording, frame)])
-    return np.asarray(cv2.add(clean, own, dtype=cv2.CV_8U), dtype=np.uint8)
+    frame_noise = cv2.multiply(cv2.LUT(clean, noise), field[_noise_window(clean, recording, frame)])
+    return np.asarray(cv2.add(clean, frame_noise, dtype=cv2.CV_8U), dtype=np.uint8)

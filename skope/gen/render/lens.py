@@ -192,10 +192,10 @@ class Lens:
         x0, y0, x1, y1 = self._shown
         x, y = silhouette.x, silhouette.y
         out = np.zeros_like(silhouette.mask)
-        there = slice(max(y0 - y, 0), max(y1 - y, 0)), slice(max(x0 - x, 0), max(x1 - x, 0))
+        overlap = slice(max(y0 - y, 0), max(y1 - y, 0)), slice(max(x0 - x, 0), max(x1 - x, 0))
         around = np.ones((3, 3), dtype=np.uint8)
         inner = cv2.erode(silhouette.mask.view(np.uint8), around, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-        out[there] = inner[there]
+        out[overlap] = inner[overlap]
         return out
 
     def _sample_silhouette(self, silhouette: Silhouette, x0: int, y0: int, x1: int, y1: int) -> NDArray[np.bool_]:
@@ -257,8 +257,8 @@ def _dirt(
     for x, y, big, tall, turn, thick in rng.uniform(0, 1, (rng.poisson(LENS_LIMITS.smears * amount), 6)).tolist():
         radius = width * (0.008 + 0.06 * big**3)
         axes = (radius, radius * (0.5 + 1.6 * tall * big))
-        one = _blob(size, (x * width, y * height), axes, 180 * turn, 0.25 + 0.2 * big)
-        cover = np.maximum(cover, one * (0.35 + 0.65 * thick))
+        smear = _blob(size, (x * width, y * height), axes, 180 * turn, 0.25 + 0.2 * big)
+        cover = np.maximum(cover, smear * (0.35 + 0.65 * thick))
     for x, y, big, thick in rng.uniform(0, 1, (rng.poisson(LENS_LIMITS.specks * amount), 4)).tolist():
         radius = width * (0.001 + 0.004 * big**2)
         dark = np.maximum(dark, _blob(size, (x * width, y * height), (radius, radius), 0.0, 0.6) * thick)

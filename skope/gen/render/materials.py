@@ -240,7 +240,7 @@ def materials_between(first: str, last: str) -> tuple[str, ...]:
     return tuple(order[order.index(first) : order.index(last) + 1])
 
 
-def own_color(material: str) -> COLOR_TYPE | None:
+def named_color(material: str) -> COLOR_TYPE | None:
     """Return the colour in a material's name, such as "#a0b4c8"; None for a material of the table."""
     if not material.startswith("#"):
         return None

@@ -269,7 +269,7 @@ class NightCamera:
     def without_glare(self, picture: NDArray[np.float32]) -> Pixels:
         """Return a part (h, w, 3) of the image without veiling glare; see `develop`."""
         *light, full = self._exposed(picture)
-        return _merged([self._shown(np.minimum(one, full)) for one in light])
+        return _merged([self._shown(np.minimum(plane, full)) for plane in light])
 
     def develop(self, picture: NDArray[np.float32]) -> Pixels:
         """Return the developed image (H, W, 3) of a frame.
@@ -278,8 +278,8 @@ class NightCamera:
             picture: (H, W, 4) linear light of the blended exposures, and the light at which their blend saturates.
         """
         *light, full = self._exposed(picture)
-        kept = [np.minimum(one, full) for one in light]
-        veil = self._glare.spread([one - part for one, part in zip(light, kept, strict=True)])
+        kept = [np.minimum(plane, full) for plane in light]
+        veil = self._glare.spread([plane - part for plane, part in zip(light, kept, strict=True)])
         if veil is None:
             return _merged([self._shown(part) for part in kept])
         # The added light of each exposure ends where the exposure saturates.

@@ -178,12 +178,12 @@ def tile_runs(touched: NDArray[np.bool_], size: tuple[int, int]) -> list[Window]
 def tile_mask(touched: NDArray[np.bool_], window: Window) -> NDArray[np.uint8]:
     """Return a mask (h, w): 1 for pixels in a touched tile, else 0. The window begins at the corner of a tile."""
     x0, y0, x1, y1 = window
-    there = touched[
+    touched_tiles = touched[
         y0 // WINDOW_LIMITS.tile_px : -(-y1 // WINDOW_LIMITS.tile_px),
         x0 // WINDOW_LIMITS.tile_px : -(-x1 // WINDOW_LIMITS.tile_px),
     ].view(np.uint8)
     return np.asarray(
-        there.repeat(WINDOW_LIMITS.tile_px, axis=0).repeat(WINDOW_LIMITS.tile_px, axis=1)[: y1 - y0, : x1 - x0]
+        touched_tiles.repeat(WINDOW_LIMITS.tile_px, axis=0).repeat(WINDOW_LIMITS.tile_px, axis=1)[: y1 - y0, : x1 - x0]
     )
 
 

@@ -71,9 +71,9 @@ class ScreenGraphics:
                 draw(ink, mark, rng)
                 opaque = rng.choice([1.0, rng.uniform(OVERLAY_STYLE.least_opacity, 1.0)])
                 cover = np.maximum(cover, (mark * np.float32(opaque)).astype(np.uint8))
-            own = recording.rng(Stream.PLACE_NAMES)
-            if own.random() < OVERLAY_STYLE.captioned_share:
-                _place_names(ink, cover, own)
+            names_rng = recording.rng(Stream.PLACE_NAMES)
+            if names_rng.random() < OVERLAY_STYLE.captioned_share:
+                _place_names(ink, cover, names_rng)
             covers = np.repeat(cover[..., None], 3, axis=-1)
             self._seen = np.asarray(cv2.bitwise_not(covers), dtype=np.uint8)
             self._ink = np.asarray(cv2.multiply(ink, covers, scale=1 / 255), dtype=np.uint8)

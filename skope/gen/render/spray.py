@@ -95,10 +95,10 @@ class Spray:
         light = SPRAY_MODEL.brightness * np.quantile(rgb[::8, ::8].reshape(-1, 3), 0.9, axis=0)
         veiled = np.flatnonzero(veil[: rgb.shape[0]].any(axis=1))
         if len(veiled):
-            there = slice(int(veiled[0]), int(veiled[-1]) + 1)
-            cover = cv2.cvtColor(np.ascontiguousarray(veil[there, : rgb.shape[1]]), cv2.COLOR_GRAY2RGB)
+            veiled_rows = slice(int(veiled[0]), int(veiled[-1]) + 1)
+            cover = cv2.cvtColor(np.ascontiguousarray(veil[veiled_rows, : rgb.shape[1]]), cv2.COLOR_GRAY2RGB)
             cloud = cv2.multiply(cover, np.array([*light, 0.0]), scale=1 / 255)
-            rgb[there] = cv2.add(cv2.multiply(rgb[there], cv2.bitwise_not(cover), scale=1 / 255), cloud)
+            rgb[veiled_rows] = cv2.add(cv2.multiply(rgb[veiled_rows], cv2.bitwise_not(cover), scale=1 / 255), cloud)
         return rgb
 
     def _add_plume(

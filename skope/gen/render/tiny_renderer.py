@@ -29,7 +29,7 @@ from skope.gen.render.materials import (
     Light,
     Palette,
     grain,
-    own_color,
+    named_color,
 )
 from skope.gen.render.pixel_windows import WINDOW_LIMITS, Window, hull_of, window_of
 from skope.gen.render.spray import Spray
@@ -87,14 +87,14 @@ class _FineLayer:
         x0, y0, x1, y1 = (f(a, b) for f, a, b in zip((max, max, min, min), self.window, window, strict=True))
         if x0 >= x1 or y0 >= y1:
             return None
-        there, own = (
+        in_window, in_layer = (
             (
                 slice((y0 - y) * TINY_LIMITS.samples, (y1 - y) * TINY_LIMITS.samples),
                 slice((x0 - x) * TINY_LIMITS.samples, (x1 - x) * TINY_LIMITS.samples),
             )
             for x, y in (window[:2], (self.x, self.y))
         )
-        return there, own
+        return in_window, in_layer
 
 
 class _Stage:
@@ -116,7 +116,7 @@ class _Stage:
                 vertices=part.vertices.tolist(),
                 indices=part.triangles.ravel().tolist(),
                 normals=part.normals.tolist(),
-                rgbaColor=[*(own_color(material) or colors[material]), 1],
+                rgbaColor=[*(named_color(material) or colors[material]), 1],
                 specularColor=[0, 0, 0],
                 physicsClientId=self._client,
             )
@@ -338,18 +338,18 @@ class TinyRenderer:
     ) -> float:
         """Return the difference between the visible pixels of vehicle i and the image without it."""
         layer = layers[i]
-        place = layer.within(self._image) if layer else None
-        if layer is None or place is None:
+        overlap = layer.within(self._image) if layer else None
+        if layer is None or overlap is None:
             return 0.0
-        fine = place[0]
+        fine = overlap[0]
         coarse = tuple(slice(s.start // TINY_LIMITS.samples, s.stop // TINY_LIMITS.samples) for s in fine)
         visible = ids[coarse] == i + 1
         if not visible.any():
             return 0.0
         rgb, depth = shaded[fine].copy(), self._background.depth[fine].copy()
         window = (coarse[1].start, coarse[0].start, coarse[1].stop, coarse[0].stop)
-        for other in (*layers[:i], *layers[i + 1 :]):
-            _draw_layer(other, window, rgb, depth)
+        for other_layer in (*layers[:i], *layers[i + 1 :]):
+            _draw_layer(other_layer, window, rgb, depth)
         return float(np.abs(clean[coarse] - _mean_colors(rgb))[visible].mean())
 
 
@@ -371,15 +371,15 @@ def _draw_layer(
     number: int = 0,
 ) -> None:
     """Draw a layer over the fine buffers of a window, where it is nearer."""
-    place = layer.within(window) if layer else None
-    if layer is None or place is None:
+    overlap = layer.within(window) if layer else None
+    if layer is None or overlap is None:
         return
-    there, own = place
-    nearer = layer.depth[own] < depth[there]
-    depth[there][nearer] = layer.depth[own][nearer]
-    rgb[there][nearer] = layer.rgb[own][nearer]
+    in_window, in_layer = overlap
+    nearer = layer.depth[in_layer] < depth[in_window]
+    depth[in_window][nearer] = layer.depth[in_layer][nearer]
+    rgb[in_window][nearer] = layer.rgb[in_layer][nearer]
     if ids is not None:
-        ids[there][nearer] = number
+        ids[in_window][nearer] = number
 
 
 def quaternion(R: Array) -> list[float]:

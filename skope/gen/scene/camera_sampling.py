@@ -128,13 +128,13 @@ def sample_camera(site: Site, ranges: CameraRanges, rng: np.random.Generator) ->
         UserError: None of `CAMERA_SAMPLING.tries` cameras sees enough road.
     """
     spans = ranges.spans
-    own = site.camera(ranges.size, ranges.fov_deg, ranges.distortion)
+    site_camera = site.camera(ranges.size, ranges.fov_deg, ranges.distortion)
     if not spans:
-        return own
+        return site_camera
     layout = Layout.of(site.town)
     lanes, level = np.concatenate(list(layout.graph.lane_points.values())), _level(layout, site)
     lowest = _lowest(layout.graph, site)
-    enough = min(CAMERA_SAMPLING.least_road_m, road_seen(own, lanes) / 2)
+    enough = min(CAMERA_SAMPLING.least_road_m, road_seen(site_camera, lanes) / 2)
     for _ in range(CAMERA_SAMPLING.tries):
         values = {name: float(rng.uniform(*spans[name])) for name in CAMERA_LIMITS if name in spans}
         lens = site.camera(ranges.size, values.get("fov_deg", ranges.fov_deg), ranges.distortion)
@@ -354,16 +354,16 @@ class ViewSampler:
         if pitch > CAMERA_SAMPLING.steep_deg:
             height = max(height, CAMERA_SAMPLING.over_road_m)
         distance = height / math.tan(math.radians(max(pitch, 3.0)))
-        place = (
+        position = (
             self._over(target, distance, rng)
             if pitch > CAMERA_SAMPLING.steep_deg
             else self._away(target, distance, rng)
         )
-        if place is None:
+        if position is None:
             return None
-        x, y, level = place.tolist()
+        x, y, level = position.tolist()
         z = max(
-            level + height, self._layout.height(self._layout.graph.world(place[:2])) + CAMERA_SAMPLING.above_ground_m
+            level + height, self._layout.height(self._layout.graph.world(position[:2])) + CAMERA_SAMPLING.above_ground_m
         )
         fov = ranges.fov_deg
         if "fov_deg" in spans:
@@ -378,8 +378,8 @@ class ViewSampler:
     def _away(self, target: Array, distance: float, rng: np.random.Generator) -> Array | None:
         """Return a position (3,) beside a carriageway, about `distance` metres from the target (3,), or None."""
         away = np.hypot(*(self._starts[:, :2] - target[:2]).T)
-        there = np.flatnonzero(np.abs(away - distance) < max(4.0, 0.3 * distance))
-        return self._beside(int(rng.choice(there)), rng) if len(there) else None
+        near = np.flatnonzero(np.abs(away - distance) < max(4.0, 0.3 * distance))
+        return self._beside(int(rng.choice(near)), rng) if len(near) else None
 
     def _over(self, target: Array, distance: float, rng: np.random.Generator) -> Array | None:
         """Return a position (3,) at `distance` metres from the target (3,), or None if a house could be there."""

@@ -247,7 +247,7 @@ CONDITION_LIMITS: Final[Mapping[str, Range]] = {
 SUN_FIELDS: Final = ("sun_elevation_deg", "sun_azimuth_deg")
 CLOCK_FIELDS: Final = ("latitude_deg", "day", "hour")
 _WHOLE_NUMBERED: Final = ("day", "infrared", "screen_text", "screen_graphics", "fisheye")
-_PLACE_RANGES: Final[Mapping[str, Range]] = {
+_SURROUNDINGS_RANGES: Final[Mapping[str, Range]] = {
     "latitude_deg": (35.0, 55.0),
     "day": (1.0, 365.0),
     "street_lighting": (0.8, 1.25),
@@ -368,15 +368,15 @@ def ranges(weather: str, time_of_day: str, overrides: Mapping[str, Range] | None
     Raises:
         UserError: The weather or the hour is unknown.
     """
-    own = overrides or {}
+    replaced = overrides or {}
     spans = {
-        **_PLACE_RANGES,
+        **_SURROUNDINGS_RANGES,
         **_CAMERA_RANGES,
         **WEATHER_RANGES[one_of("weather", weather, tuple(WEATHER_RANGES))],
         **HOUR_RANGES[one_of("time_of_day", time_of_day, TIMES_OF_DAY)],
-        **own,
+        **replaced,
     }
-    follows = own.keys() & set(CLOCK_FIELDS) and not own.keys() & set(SUN_FIELDS)
+    follows = replaced.keys() & set(CLOCK_FIELDS) and not replaced.keys() & set(SUN_FIELDS)
     return {name: span for name, span in spans.items() if not (follows and name in SUN_FIELDS)}
 
 

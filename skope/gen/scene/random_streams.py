@@ -109,5 +109,5 @@ def rng(seed: int, site: str, recording: int, stream: Stream, *which: int) -> np
         stream: Quantity to draw.
         which: Further arguments of the stream, such as the number of a vehicle.
     """
-    place = site.encode() if stream in _IN_PICTURES else (zlib.crc32(site.encode()),)
-    return np.random.default_rng([seed, *place, recording, *_STREAM_NUMBERS[stream], *which])
+    site_key = site.encode() if stream in _IN_PICTURES else (zlib.crc32(site.encode()),)
+    return np.random.default_rng([seed, *site_key, recording, *_STREAM_NUMBERS[stream], *which])

@@ -382,8 +382,8 @@ def _variant_of(row: Mapping[str, Any] | None) -> Variant | None:
 
 def _recording_of(header: Mapping[str, Any], file: Mapping[str, Any]) -> Recording:
     """Build a recording from the header and the arrays of its file."""
-    own = header.get("place")
-    road = OwnRoad.of(own, *(file[name].tobytes() for name in _FILE_FIELDS)) if own else None
+    road_header = header.get("place")
+    road = OwnRoad.of(road_header, *(file[name].tobytes() for name in _FILE_FIELDS)) if road_header else None
     return Recording(
         town=Town(header["town"], road, _variant_of(header.get("variant"))),
         **{name: header[name] for name in HEADER_FIELDS},

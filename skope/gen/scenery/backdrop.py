@@ -61,9 +61,9 @@ def _ground(layout: Layout, middle: Array) -> Mesh:
 
 
 def _occluders(road: OwnRoad) -> Iterator[Mesh]:
-    for one in road.occluders:
-        corners = _filling_triangles(road, one.polygon)
-        points, _ = road.camera.unproject(corners, np.full(len(corners), one.distance))
+    for occluder in road.occluders:
+        corners = _filling_triangles(road, occluder.polygon)
+        points, _ = road.camera.unproject(corners, np.full(len(corners), occluder.distance))
         yield from_triangles(points, np.arange(len(points)).reshape(-1, 3), "iron")
 
 

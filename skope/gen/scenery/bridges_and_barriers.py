@@ -221,9 +221,9 @@ def _median_barriers(layout: Layout) -> Iterator[Mesh]:
     for edge in walled:
         lane = driven(edge)[-1]
         line = LineString(lane.getShape())
-        others = [LineString(driven(other)[-1].getShape()) for other in walled if other is not edge]
-        gap = min((line.distance(other) for other in others), default=99.0) - lane.getWidth()
-        if not 0.6 < gap < 2 * ROAD_LIMITS.barrier_m or any(other.getID() < edge.getID() for other in walled):
+        other_lines = [LineString(driven(other_edge)[-1].getShape()) for other_edge in walled if other_edge is not edge]
+        gap = min((line.distance(other_line) for other_line in other_lines), default=99.0) - lane.getWidth()
+        if not 0.6 < gap < 2 * ROAD_LIMITS.barrier_m or any(other_edge.getID() < edge.getID() for other_edge in walled):
             continue
         path = np.array(shapely.segmentize(line.offset_curve((lane.getWidth() + gap) / 2), 3.0).coords)
         z = layout.ground.road(path)
@@ -319,17 +319,17 @@ def _wires(layout: Layout) -> Iterator[Mesh]:
         offset = max(kind.sidewalk, kind.shoulder + 2.0) + 1.2
         before: tuple[Array, float] | None = None
         for s in np.arange(14.0, driven(edge)[0].getLength(), 38.0):
-            place, heading = beside(edge, float(s), offset)
-            if shapely.intersects(kept_clear, Point(place)):
+            position, heading = beside(edge, float(s), offset)
+            if shapely.intersects(kept_clear, Point(position)):
                 before = None
                 continue
-            if before is not None and LineString([before[0][1, :2], place]).intersects(layout.around_cameras):
+            if before is not None and LineString([before[0][1, :2], position]).intersects(layout.around_cameras):
                 before = None
-            foot = layout.height(place)
-            yield _pole().moved([*place, foot], heading)
+            foot = layout.height(position)
+            yield _pole().moved([*position, foot], heading)
             tops = np.array([[0.0, y, 8.6] for y in (-0.9, 0.0, 0.9)])
             c, n = np.cos(heading), np.sin(heading)
-            tops = tops @ np.array([[c, n, 0], [-n, c, 0], [0, 0, 1]]) + [*place, foot]
+            tops = tops @ np.array([[c, n, 0], [-n, c, 0], [0, 0, 1]]) + [*position, foot]
             if before is not None:
                 for a, b in zip(before[0], tops, strict=True):
                     share = np.linspace(0, 1, 9)[:, None]

@@ -99,7 +99,7 @@ class Scenery:
             "signal_facing": np.array([signal.facing for signal in signals]).reshape(-1, 3),
             "buildings": np.frombuffer(shapely.to_wkb(shapely.MultiPolygon(self.buildings)), dtype=np.uint8),
             "trees": np.array(self.trees).reshape(-1, 3),
-            "bays": np.array([(*bay.place, bay.heading) for bay in self.bays]).reshape(-1, 3),
+            "bays": np.array([(*bay.position, bay.heading) for bay in self.bays]).reshape(-1, 3),
             "lamps": self.lamps,
             "light_pools": self.light_pools,
         }
@@ -191,7 +191,7 @@ def _grow_scenery(town: Town) -> Scenery:
         lit = list(lit_objects(town, layout, houses, blocked, merged(meshes[len(surfaces) :]), rng["lit_objects"]))
         meshes += lit
         pools = light_pools(town, layout, rng["light_pools"])
-    crowns = tuple((*tree.place.tolist(), tree.reach) for tree in trees)
+    crowns = tuple((*tree.position.tolist(), tree.reach) for tree in trees)
     bays = (*lot_bays(lots), *drive_bays(houses), *along_kerbs)
     footprints = tuple(house.footprint for house in houses)
     lamps = lamp_positions([*furnished, *lit])
@@ -212,13 +212,13 @@ def _bays_along_kerbs(town: Town, layout: Layout, houses: list[House]) -> list[B
 
 def _generators(town: Town) -> dict[str, np.random.Generator]:
     """Return a separate random generator per part of the scenery, so that parts do not affect each other."""
-    own = zlib.crc32(town.name.encode())
-    seed = [own, town.variant.seed] if town.variant and town.variant.seed else own
+    town_seed = zlib.crc32(town.name.encode())
+    seed = [town_seed, town.variant.seed] if town.variant and town.variant.seed else town_seed
     return dict(zip(_BUILD_PARTS, np.random.default_rng(seed).spawn(len(_BUILD_PARTS)), strict=True))
 
 
 def _bay_out_of_mirror(bay: Bay) -> Bay:
-    return Bay((bay.place[0], -bay.place[1]), -bay.heading)
+    return Bay((bay.position[0], -bay.position[1]), -bay.heading)
 
 
 def _out_of_mirror(seen: Scenery) -> Scenery:
@@ -301,8 +301,8 @@ def _signals(layout: Layout) -> tuple[tuple[Signal, ...], list[Mesh]]:
             base = layout.height(foot)
             poles.append(merged(parts).moved([*foot, base], heading))
             for at in heads:
-                place = foot - right_of(heading) * at[1]
+                position = foot - right_of(heading) * at[1]
                 heights = np.array([3.42, 3.1, 2.78]) + at[2] + base
-                lamps = np.column_stack([np.tile(place, (3, 1)), heights]) + 0.13 * facing
+                lamps = np.column_stack([np.tile(position, (3, 1)), heights]) + 0.13 * facing
                 signals.append(Signal(program.getID(), link, lamps, facing))
     return tuple(signals), poles

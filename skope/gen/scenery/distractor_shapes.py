@@ -174,10 +174,10 @@ def trailer_frame(rng: np.random.Generator) -> Mesh:
 def tyres(rng: np.random.Generator) -> Mesh:
     """Return one to three stacks of tyres."""
     profile = [(0.0, 0.18), (0.0, 0.30), (0.05, 0.33), (0.17, 0.33), (0.22, 0.30), (0.22, 0.18), (0.0, 0.18)]
-    one = lathe(profile, ["tyre"] * 6, 14, "z")
+    tyre = lathe(profile, ["tyre"] * 6, 14, "z")
     stacks = range(int(rng.integers(1, 4)))
     return merged(
-        one.moved((0.72 * k + rng.normal(0, 0.02), rng.normal(0, 0.02), 0.22 * level - 0.05))
+        tyre.moved((0.72 * k + rng.normal(0, 0.02), rng.normal(0, 0.02), 0.22 * level - 0.05))
         for k in stacks
         for level in range(int(rng.integers(2, 7)))
     )

@@ -93,8 +93,8 @@ def distractors(
         for _ in range(DISTRACTOR_LIMITS.tries):
             placed = along_roads.draw(view, made.vertices, rng)
             if placed and room.take(*placed, made.vertices):
-                place, heading = placed
-                yield made.moved([*place, _foot(layout, place, heading, made.vertices)], heading)
+                position, heading = placed
+                yield made.moved([*position, _foot(layout, position, heading, made.vertices)], heading)
                 break
 
 
@@ -142,8 +142,8 @@ def lit_objects(
         for _ in range(DISTRACTOR_LIMITS.tries):
             placed = along_roads.draw(view, standing_points, rng, facing_road=make.__name__ in FACING_ROAD)
             if placed and room.take(*placed, standing_points, points):
-                place, heading = placed
-                yield made.moved([*place, _foot(layout, place, heading, standing_points)], heading)
+                position, heading = placed
+                yield made.moved([*position, _foot(layout, position, heading, standing_points)], heading)
                 break
 
 
@@ -173,13 +173,13 @@ def _seen_kerbs(town: Town, layout: Layout, most: int, rng: np.random.Generator)
     along_roads = _Roadside(layout, views)
     for view in range(len(views)):
         for _ in range(int(rng.integers(most + 1))):
-            if place := along_roads.draw_kerb(view, rng):
-                yield place
+            if placed := along_roads.draw_kerb(view, rng):
+                yield placed
 
 
-def _foot(layout: Layout, place: Array, heading: float, points: Array) -> float:
+def _foot(layout: Layout, position: Array, heading: float, points: Array) -> float:
     """Return the height of an object of points (N, 3): that of the lowest ground under it."""
-    corners = np.array(rectangle_polygon(place, heading, *np.ptp(points[:, :2], axis=0)).exterior.coords)
+    corners = np.array(rectangle_polygon(position, heading, *np.ptp(points[:, :2], axis=0)).exterior.coords)
     return float(layout.ground.beside(corners).min() + layout.style.kerb)
 
 
@@ -187,7 +187,7 @@ def _foot(layout: Layout, place: Array, heading: float, points: Array) -> float:
 class _View:
     """Part of the plane that a camera sees, derived from its mast."""
 
-    place: Array
+    position: Array
     """(2,) position of the camera."""
     height: float
     """Height above the ground below it, metres."""
@@ -199,14 +199,14 @@ class _View:
 
     @classmethod
     def of(cls, mast: Mast, layout: Layout) -> Self:
-        place = layout.graph.world(mast.position[:2])
-        height = mast.position[2] - layout.height(place)
+        position = layout.graph.world(mast.position[:2])
+        height = mast.position[2] - layout.height(position)
         yaw, pitch, fov = np.radians([mast.yaw_deg, mast.pitch_deg, mast.fov_deg])
-        return cls(place, height, -yaw if layout.graph.mirrored else yaw, pitch, fov / 2)
+        return cls(position, height, -yaw if layout.graph.mirrored else yaw, pitch, fov / 2)
 
     def sees(self, places: Array) -> NDArray[np.bool_]:
         """Return which places (N, 2) are within reach and may be visible in the image, (N,)."""
-        away = places - self.place
+        away = places - self.position
         distance = np.maximum(np.hypot(*away.T), 1e-6)
         turned = np.arctan2(away[:, 1], away[:, 0]) - self.yaw
         aside = np.abs((turned + np.pi) % (2 * np.pi) - np.pi)
@@ -245,7 +245,7 @@ class _Room:
         self._obstacles = shapely.STRtree(_plans_of_low_triangles(layout, standing))
         self._taken: list[Polygon] = []
 
-    def take(self, place: Array, heading: float, points: Array, whole: Array | None = None) -> bool:
+    def take(self, position: Array, heading: float, points: Array, whole: Array | None = None) -> bool:
         """Return whether an object of points (N, 3) has room there on the ground; if it has, reserve the room.
 
         If parts hang over the road, `whole` (M, 3) also contains their points. These parts only keep clear of other
@@ -253,33 +253,33 @@ class _Room:
         """
         whole = points if whole is None else whole
         low, high = points.min(axis=0), points.max(axis=0)
-        size, distance = high - low, self._layout.camera_distance(place)
+        size, distance = high - low, self._layout.camera_distance(position)
         if max(size[0], whole[:, 2].max()) > DISTRACTOR_LIMITS.largest_share * distance:
             return False
-        footprint = _plan_of(place, heading, points)
+        footprint = _plan_of(position, heading, points)
         heights = self._layout.ground.beside(np.array(footprint.exterior.coords))
         if np.ptp(heights) > DISTRACTOR_LIMITS.largest_fall_m or self._blocked.intersects(footprint):
             return False
         if len(self._obstacles.query(footprint.buffer(0.1), predicate="intersects")):
             return False
-        return self._keep(_plan_of(place, heading, whole), 0.4)
+        return self._keep(_plan_of(position, heading, whole), 0.4)
 
     def take_on_wall(self, footprint: Polygon) -> bool:
         """Return whether a panel on a wall is clear of streets and of other panels; if it is, reserve its room."""
         return not self._street.intersects(footprint) and self._keep(footprint, 0.2)
 
     def _keep(self, footprint: Polygon, gap: float) -> bool:
-        if any(footprint.distance(other) < gap for other in self._taken):
+        if any(footprint.distance(neighbour) < gap for neighbour in self._taken):
             return False
         self._taken.append(footprint)
         return True
 
 
-def _plan_of(place: Array, heading: float, points: Array) -> Polygon:
+def _plan_of(position: Array, heading: float, points: Array) -> Polygon:
     """Return the rectangle around an object of points (N, 3) at a position with a heading."""
     low, high = points.min(axis=0), points.max(axis=0)
     c, s = np.cos(heading), np.sin(heading)
-    middle = (low + high)[:2] / 2 @ np.array([[c, s], [-s, c]]) + place
+    middle = (low + high)[:2] / 2 @ np.array([[c, s], [-s, c]]) + position
     return rectangle_polygon(middle, heading, *(high - low)[:2])
 
 
@@ -291,11 +291,11 @@ class _Roadside:
         for edge in layout.graph.edges_of("ground"):
             lane = driven(edge)[0]
             line, kind = LineString(lane.getShape()), layout.graph.kind(edge)
-            if min(line.distance(shapely.Point(view.place)) for view in views) > DISTRACTOR_LIMITS.placed_within_m:
+            if min(line.distance(shapely.Point(view.position)) for view in views) > DISTRACTOR_LIMITS.placed_within_m:
                 continue
             for s in np.arange(1.0, line.length, DISTRACTOR_LIMITS.spacing_m):
-                place, heading = beside(edge, float(s), 0.0)
-                places.append(place)
+                position, heading = beside(edge, float(s), 0.0)
+                places.append(position)
                 headings.append(heading)
                 widths.append(max(kind.sidewalk, kind.shoulder))
         self._places, self._headings, self._widths = np.array(places).reshape(-1, 2), np.array(headings), widths
@@ -303,7 +303,7 @@ class _Roadside:
         beyond = self._places + outwards * (np.array(widths) + 3.0)[:, None]
         self._seen = [np.flatnonzero(view.sees(beyond)) for view in views]
         self._near = [
-            np.flatnonzero(np.hypot(*(beyond - view.place).T) < DISTRACTOR_LIMITS.placed_within_m) for view in views
+            np.flatnonzero(np.hypot(*(beyond - view.position).T) < DISTRACTOR_LIMITS.placed_within_m) for view in views
         ]
 
     def draw_kerb(self, view: int, rng: np.random.Generator) -> tuple[Array, float] | None:
@@ -332,15 +332,15 @@ class _Roadside:
             offset = (
                 self._widths[i] + DISTRACTOR_LIMITS.clearance_m + 0.05 + points[:, 1].max() + 2.0 * rng.random() ** 2
             )
-            place = self._places[i] + right_of(self._headings[i]) * offset
-            return place, float(self._headings[i])
+            position = self._places[i] + right_of(self._headings[i]) * offset
+            return position, float(self._headings[i])
         along_road = rng.random() < 0.7
         depth = np.ptp(points[:, 1 if along_road else 0])
         offset = self._widths[i] + 0.3 + depth / 2 + DISTRACTOR_LIMITS.clearance_m + 14.0 * rng.random() ** 2
         # Fronts face the left of a heading, where the road is.
         turned = rng.choice([0.0, 0.0, 0.0, np.pi]) if along_road else rng.choice([-np.pi / 2, np.pi / 2])
-        place = self._places[i] + right_of(self._headings[i]) * offset
-        return place, float(self._headings[i] + turned + rng.normal(0.0, 0.08))
+        position = self._places[i] + right_of(self._headings[i]) * offset
+        return position, float(self._headings[i] + turned + rng.normal(0.0, 0.08))
 
 
 @dataclass(frozen=True, eq=False)
@@ -378,10 +378,10 @@ class _Walls:
 
     def _looks_at(self, wall: _Wall, outward: Array, view: _View) -> bool:
         """Return whether a camera sees the front of a wall without a building between them."""
-        away = view.place - wall.middle
+        away = view.position - wall.middle
         if away @ outward < 0.25 * np.linalg.norm(away):
             return False
-        ray = LineString([wall.middle + 0.6 * outward, view.place])
+        ray = LineString([wall.middle + 0.6 * outward, view.position])
         return not len(self._footprints.query(ray, predicate="intersects"))
 
     def draw(self, view: int, room: _Room, rng: np.random.Generator) -> Mesh | None:
@@ -399,13 +399,13 @@ class _Walls:
         if long > 0.9 * wall.width:
             return None
         along = np.array([np.cos(wall.heading), np.sin(wall.heading)])
-        place = wall.middle + along * rng.uniform(-0.5, 0.5) * (0.95 * wall.width - long)
-        place = place - wall.out * right_of(wall.heading)
-        footprint = rectangle_polygon(place - 0.2 * right_of(wall.heading), wall.heading, long + 0.1, 0.3)
+        position = wall.middle + along * rng.uniform(-0.5, 0.5) * (0.95 * wall.width - long)
+        position = position - wall.out * right_of(wall.heading)
+        footprint = rectangle_polygon(position - 0.2 * right_of(wall.heading), wall.heading, long + 0.1, 0.3)
         if len(self._footprints.query(footprint, predicate="intersects")) or not room.take_on_wall(footprint):
             return None
         foot = wall.house.floor + low + rng.uniform(0.0, top - low - high)
-        return wall_panel(long, high, rng).moved([*place, foot], wall.heading)
+        return wall_panel(long, high, rng).moved([*position, foot], wall.heading)
 
 
 def _plans_of_low_triangles(layout: Layout, standing: Mesh) -> NDArray[np.object_]:

@@ -156,7 +156,7 @@ def _put_windows(
 ) -> None:
     look = rng.choice(5, len(places), p=[0.34, 0.26, 0.16, 0.10, 0.14])
     for kind in range(5):
-        at = [(*place, 0.0) for place, chosen in zip(places, look, strict=True) if chosen == kind]
+        at = [(*corner, 0.0) for corner, chosen in zip(places, look, strict=True) if chosen == kind]
         if at:
             out.add(_window(style, kind, near), at)
 

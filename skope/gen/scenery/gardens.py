@@ -68,8 +68,8 @@ def _garden(layout: Layout, house: House, taken: Any, seen: Any, rng: np.random.
             yield _panel_fence(high - low, house.near).mesh().moved([*middle, 0.0], house.heading + np.pi / 2)
     for at in rng.uniform(-0.85 * x, 0.85 * x, int(rng.integers(1, 4)) if house.near else 0):
         if abs(at) > 1.6:
-            place = house.to_world(np.array([at, y + 1.6]))
-            yield bush(rng.uniform(0.4, 0.62), rng).moved([*place, 0.0])
+            position = house.to_world(np.array([at, y + 1.6]))
+            yield bush(rng.uniform(0.4, 0.62), rng).moved([*position, 0.0])
 
 
 def _open_ground(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterator[Mesh]:
@@ -78,14 +78,14 @@ def _open_ground(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterat
     edges = [edge for edge in layout.graph.edges_of("ground") if not layout.graph.kind(edge).guard_rails]
     kinds = {edge.getID(): drawn_name(layout.style.fences, rng) for edge in edges}
     length = 5.6
-    for edge, place, heading in places_along(edges, length + 0.15, 0.0):
-        place = place + right_of(heading) * _enclosure_offset(layout, edge, 0.6)
-        run = rectangle_polygon(place, heading, length, 0.5)
-        if layout.camera_distance(place) < GARDEN_LIMITS.open_ground_m and not run.buffer(0.15).intersects(taken):
-            near = layout.camera_distance(place) < 25.0
-            yield _boundary(kinds[edge.getID()], length, near, rng).moved([*place, 0.0], heading)
-    for edge, place, heading in places_along(edges, 2.6, 0.0):
-        at = place + right_of(heading) * _enclosure_offset(layout, edge, 2.6) + rng.uniform(-1.2, 1.2, 2)
+    for edge, position, heading in places_along(edges, length + 0.15, 0.0):
+        position = position + right_of(heading) * _enclosure_offset(layout, edge, 0.6)
+        run = rectangle_polygon(position, heading, length, 0.5)
+        if layout.camera_distance(position) < GARDEN_LIMITS.open_ground_m and not run.buffer(0.15).intersects(taken):
+            near = layout.camera_distance(position) < 25.0
+            yield _boundary(kinds[edge.getID()], length, near, rng).moved([*position, 0.0], heading)
+    for edge, position, heading in places_along(edges, 2.6, 0.0):
+        at = position + right_of(heading) * _enclosure_offset(layout, edge, 2.6) + rng.uniform(-1.2, 1.2, 2)
         likely = rng.random()
         if likely < 0.4 and layout.camera_distance(at) < GARDEN_LIMITS.open_ground_m and is_free(taken, at, 1.0):
             yield bush(rng.uniform(0.35, 0.6), rng).moved([*at, 0.0])
@@ -102,9 +102,9 @@ def _scattered_shrubs(layout: Layout, taken: Any, rng: np.random.Generator) -> I
             )
             group = int(rng.integers(1, 7))
             places = at + rng.normal(0.0, 0.5 + 0.16 * group, (group, 2)) * [1.4, 1.0]
-            for place, size in zip(places, rng.uniform(0.3, 0.62, group), strict=True):
-                if is_free(taken, place, 0.4):
-                    yield bush(float(size), rng).moved([*place, 0.0])
+            for position, size in zip(places, rng.uniform(0.3, 0.62, group), strict=True):
+                if is_free(taken, position, 0.4):
+                    yield bush(float(size), rng).moved([*position, 0.0])
     for island in polygons(layout.islands.buffer(-1.3)):
         if layout.camera_distance(np.array(island.centroid.coords[0])) < 2 * GARDEN_LIMITS.open_ground_m:
             ring = island.exterior

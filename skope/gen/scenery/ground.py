@@ -240,11 +240,11 @@ def _flush_decks(layout: Layout) -> Any:
     graph = layout.graph
     out = []
     for deck in graph.decks:
-        own = deck.buffer(layout.deck_edge, join_style="mitre").difference(graph.ground_road.buffer(0.01))
+        beside_road = deck.buffer(layout.deck_edge, join_style="mitre").difference(graph.ground_road.buffer(0.01))
         corners = np.array(deck.exterior.coords)
         above, _ = graph.deck_lanes.near(corners, 10.0)
         if np.abs(above - layout.ground.beside(corners)).max() < 0.3:
-            out.append(own)
+            out.append(beside_road)
     return unary_union(out)
 
 

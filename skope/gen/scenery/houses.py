@@ -114,9 +114,9 @@ def house_plots(layout: Layout, rng: np.random.Generator) -> list[House]:
         for s in np.arange(10.0, driven(edge)[0].getLength(), 23.0):
             kind = layout.style.kinds[drawn_name(kinds, rng)]
             size = (rng.uniform(*kind.length), rng.uniform(*kind.depth))
-            place, heading = beside(edge, float(s), rng.uniform(26.0, 52.0) + max(size) / 2)
+            position, heading = beside(edge, float(s), rng.uniform(26.0, 52.0) + max(size) / 2)
             turned = heading + rng.choice([0.0, np.pi / 2, np.pi])
-            behind = _house(layout, kind, place, turned, size, 0.0)
+            behind = _house(layout, kind, position, turned, size, 0.0)
             if taken.has_room_for(behind):
                 out.append(behind)
     return out
@@ -151,8 +151,8 @@ class Taken:
             footprint = unary_union([footprint, Polygon(house.to_world(np.array(lot)))])
         if self._kept_clear.intersects(footprint):
             return False
-        for other, terraced in self._houses:
-            if footprint.distance(other) < (0.02 if house.terraced and terraced else 2.5):
+        for neighbour, terraced in self._houses:
+            if footprint.distance(neighbour) < (0.02 if house.terraced and terraced else 2.5):
                 return False
         self._houses.append((footprint, house.terraced))
         return True
@@ -172,8 +172,8 @@ def _next_house(layout: Layout, row: ObjectRow, edge: Any, s: float, rng: np.ran
     setback = rng.uniform(*row.setback) + kind.parking
     road = layout.graph.kind(edge)
     street = max(road.sidewalk, road.shoulder) + 0.15
-    place, heading = beside(edge, s + length / 2, street + setback + depth / 2)
-    return _house(layout, kind, place, heading, (length, depth), setback)
+    position, heading = beside(edge, s + length / 2, street + setback + depth / 2)
+    return _house(layout, kind, position, heading, (length, depth), setback)
 
 
 def house_meshes(houses: list[House], rng: np.random.Generator) -> Iterator[Mesh]:
@@ -206,15 +206,15 @@ def _house_mesh(house: House, joined: tuple[bool, bool], rng: np.random.Generato
 
 
 def _draw_style(kind: BuildingKind, rng: np.random.Generator) -> FacadeStyle:
-    def one(names: tuple[str, ...]) -> str:
+    def pick(names: tuple[str, ...]) -> str:
         return str(rng.choice(names))
 
     upper = int(rng.integers(kind.storeys[0], kind.storeys[1] + 1)) - 1
     style = FacadeStyle(
-        walls=one(kind.walls),
+        walls=pick(kind.walls),
         dressing="dressing",
-        frame=one(kind.frames),
-        door=one(("door_green", "door_red", "door_blue", "door_oak")),
+        frame=pick(kind.frames),
+        door=pick(("door_green", "door_red", "door_blue", "door_oak")),
         storeys=(kind.ground, *[kind.storey] * upper),
         bay=rng.uniform(*kind.bay),
         window=(rng.uniform(*kind.window), rng.uniform(*kind.pane)),
@@ -231,7 +231,7 @@ def _draw_style(kind: BuildingKind, rng: np.random.Generator) -> FacadeStyle:
         style,
         lintels=brick,
         surrounds=not brick and rng.random() < 0.45,
-        shutters=one(("shutter_green", "shutter_blue", "shutter_brown"))
+        shutters=pick(("shutter_green", "shutter_blue", "shutter_brown"))
         if kind.shutters and not brick and style.bay > 2.6 and rng.random() < 0.6
         else None,
         quoins=masonry and rng.random() < 0.3,

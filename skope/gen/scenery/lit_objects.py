@@ -17,9 +17,9 @@ from skope.gen.scenery.street_furniture import bus_shelter
 from skope.gen.scenery.trees import bush
 
 
-def _in_row(one: Mesh, count: int, gap: float) -> Mesh:
+def _in_row(mesh: Mesh, count: int, gap: float) -> Mesh:
     """Return copies of an object along x, with their middle at the origin."""
-    return merged(one.moved((gap * (k - (count - 1) / 2), 0.0, 0.0)) for k in range(count))
+    return merged(mesh.moved((gap * (k - (count - 1) / 2), 0.0, 0.0)) for k in range(count))
 
 
 def _recolored(mesh: Mesh, names: Mapping[str, str]) -> Mesh:
@@ -132,11 +132,11 @@ def lit_plants(rng: np.random.Generator) -> Mesh:
     parts.append(lathe([(BELOW_GROUND_M, 0.14), (0.3, 0.1), (top, 0.05)], ["bark"] * 2, 6, "z"))
     inside = int(rng.integers(5))
     for k, turn in enumerate(rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * np.arange(5) / 5):
-        place = (0.55 * reach * np.cos(turn), 0.55 * reach * np.sin(turn), bare + rng.uniform(0.1, 0.7) * reach)
+        position = (0.55 * reach * np.cos(turn), 0.55 * reach * np.sin(turn), bare + rng.uniform(0.1, 0.7) * reach)
         # Light from one lamp reaches only the next clumps.
         lit = rng.random() < 0.85 if k in (inside, (inside + 1) % 5) else rng.random() < 0.4
         leaves = bush(0.75 * reach, rng)
-        parts.append((_recolored(leaves, {"leaves": "leaves_lit"}) if lit else leaves).moved(place))
+        parts.append((_recolored(leaves, {"leaves": "leaves_lit"}) if lit else leaves).moved(position))
     glow = (0.9 * reach * float(np.cos(inside)), 0.9 * reach * float(np.sin(inside)), bare + 0.2 * reach)
     parts += [_ball(glow, 0.12, lamp), tube([(0.0, 0.0, glow[2] - 0.2), glow], [0.02] * 2, "iron", 4)]
     return merged(parts)
@@ -160,9 +160,9 @@ def shop_sign(rng: np.random.Generator) -> Mesh:
         out.box("frame_dark", (x - 0.06, -0.06, BELOW_GROUND_M), (x + 0.06, 0.06, low), without="-z")
     out.box("frame_dark", (-width / 2 - 0.04, -0.14, low - 0.04), (width / 2 + 0.04, 0.14, high + 0.04))
     for k in range(rows):
-        own = ground if rng.random() < 0.7 else str(rng.choice(["lit_white", "lit_warm", "fascia_black"]))
-        text = ink if own == ground else "lit_red" if own == "fascia_black" else "#223344"
-        face.pane(own, (-width / 2, width / 2), (k * row + 0.03, (k + 1) * row - 0.03), LAYER_GAP_M)
+        backing = ground if rng.random() < 0.7 else str(rng.choice(["lit_white", "lit_warm", "fascia_black"]))
+        text = ink if backing == ground else "lit_red" if backing == "fascia_black" else "#223344"
+        face.pane(backing, (-width / 2, width / 2), (k * row + 0.03, (k + 1) * row - 0.03), LAYER_GAP_M)
         word = letters(width * float(rng.uniform(0.5, 0.85)), 0.5 * row, rng, text)
         face.add(word, (-0.42 * width, (k + 0.25) * row, 2 * LAYER_GAP_M))
     back = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))
@@ -194,17 +194,17 @@ def cones(rng: np.random.Generator) -> Mesh:
         profile = [(0.04 + high * share, foot - 0.05 * share) for share in shares]
         base = lathe([(BELOW_GROUND_M, 0.36), (0.05, 0.36), (0.06, 0.2)], ["tyre"] * 2, 10, "z")
         materials = [body, band, body, band, body, body]
-    one = merged([base, lathe([*profile, (profile[-1][0] + 0.01, 0.0)], materials, 10, "z")])
-    return _in_row(one, count, float(rng.uniform(1.0, 1.4)))
+    cone = merged([base, lathe([*profile, (profile[-1][0] + 0.01, 0.0)], materials, 10, "z")])
+    return _in_row(cone, count, float(rng.uniform(1.0, 1.4)))
 
 
 def reflector_posts(rng: np.random.Generator) -> Mesh:
     """Return marker posts in pairs with reflectors at the spacing of a car's lamps."""
     reflector = str(rng.choice(["lit_white", "lit_amber", "lit_red", "lamp_white", "lamp_amber"]))
     body, high = str(rng.choice(["frame", "iron", "sign_yellow", "#ff6611"])), float(rng.uniform(0.7, 1.1))
-    apart, round_ones = float(rng.uniform(0.9, 1.7)), rng.random() < 0.5
+    apart, are_round = float(rng.uniform(0.9, 1.7)), rng.random() < 0.5
     out, front = Solid(), Solid()
-    if round_ones:
+    if are_round:
         filled(front, reflector, filled_disc(0.0, high - 0.16, 0.05), LAYER_GAP_M)
     else:
         front.pane(reflector, (-0.04, 0.04), (high - 0.26, high - 0.1), LAYER_GAP_M)

@@ -19,11 +19,11 @@ from skope.gen.towns.road_graph import (
     RoadGraph,
     beside,
     driven,
+    edges_at,
     half_width,
     is_minor,
     is_signalled,
     joins,
-    legs,
     right_of,
 )
 from skope.types import Array
@@ -88,7 +88,9 @@ def _left_line(graph: RoadGraph, edge: Any, shape: LineString, half: float) -> I
 
 def _opposite_edges(edge: Any) -> list[Any]:
     return [
-        e for e in legs(edge.getToNode()) if e.getFromNode() is edge.getToNode() and e.getToNode() is edge.getFromNode()
+        e
+        for e in edges_at(edge.getToNode())
+        if e.getFromNode() is edge.getToNode() and e.getToNode() is edge.getFromNode()
     ]
 
 
@@ -96,8 +98,8 @@ def _is_divided(edge: Any) -> bool:
     """Return whether no opposite lanes touch an edge's lanes."""
     mine = LineString(driven(edge)[-1].getShape())
     return not any(
-        LineString(driven(other)[-1].getShape()).distance(mine) < driven(edge)[-1].getWidth() + 0.3
-        for other in _opposite_edges(edge)
+        LineString(driven(opposite)[-1].getShape()).distance(mine) < driven(edge)[-1].getWidth() + 0.3
+        for opposite in _opposite_edges(edge)
     )
 
 
@@ -117,12 +119,12 @@ def _lines_through_joints(graph: RoadGraph) -> Iterator[Polygon]:
         followers = [e for e in edge.getOutgoing() if not e.isSpecial()]
         if len(followers) != 1 or joins(edge) > 2 or is_signalled(edge):
             continue
-        (other,) = followers
+        (follower,) = followers
         for index, side in ((0, -1.0), (-1, 1.0)):
             if side < 0 and not graph.kind(edge).edge_lines:
                 continue
             ends = []
-            for lane, at in ((driven(edge)[index], -1), (driven(other)[index], 0)):
+            for lane, at in ((driven(edge)[index], -1), (driven(follower)[index], 0)):
                 shape = LineString(lane.getShape())
                 inset = 0.2 if side < 0 else 0.16
                 ends.append(shape.offset_curve(side * (lane.getWidth() / 2 - inset)).coords[at])
@@ -174,11 +176,11 @@ def _arrow(ways: set[str]) -> Any:
     return unary_union(parts)
 
 
-def hatching(place: Array, heading: float, rng: np.random.Generator) -> list[Polygon]:
+def hatching(position: Array, heading: float, rng: np.random.Generator) -> list[Polygon]:
     """Return a hatched area of chevrons or slanting stripes, as where lanes split and end.
 
     Args:
-        place: (2,) start of its right edge.
+        position: (2,) start of its right edge.
         heading: Direction of the area, radians.
         rng: Random generator.
     """
@@ -191,7 +193,7 @@ def hatching(place: Array, heading: float, rng: np.random.Generator) -> list[Pol
         out.append(Polygon([*near, *((u + thick, v) for u, v in reversed(near))]))
     out += [shapely.box(0.0, y - MARKING_SIZES.line_half_m, long, y + MARKING_SIZES.line_half_m) for y in (0.0, wide)]
     turned = (shapely.affinity.rotate(part, heading, origin=(0, 0), use_radians=True) for part in out)
-    return [shapely.affinity.translate(part, *place) for part in turned]
+    return [shapely.affinity.translate(part, *position) for part in turned]
 
 
 def zebra_stripes(graph: RoadGraph) -> Iterator[Polygon]:
@@ -202,8 +204,8 @@ def zebra_stripes(graph: RoadGraph) -> Iterator[Polygon]:
     zebras = [zebra for edge in graph.edges if (zebra := _zebra(graph, edge))]
     hulls = [shapely.MultiPolygon([stripe for stripe, _ in zebra]).convex_hull for zebra in zebras]
     for number, zebra in enumerate(zebras):
-        others = unary_union([hull for k, hull in enumerate(hulls) if k != number])
-        yield from (stripe for stripe, before_lanes in zebra if before_lanes or not stripe.intersects(others))
+        other_crossings = unary_union([hull for k, hull in enumerate(hulls) if k != number])
+        yield from (stripe for stripe, before_lanes in zebra if before_lanes or not stripe.intersects(other_crossings))
 
 
 def _zebra(graph: RoadGraph, edge: Any) -> list[tuple[Polygon, bool]]:
@@ -288,20 +290,20 @@ def repairs(layout: Layout, rng: np.random.Generator) -> tuple[Any, Any, Any]:
             continue
         if (area := Polygon(node.getShape()).buffer(-3.0)).area > 40:
             for kept in (new, old):
-                at, heading = _random_place(area, rng), rng.uniform(0, np.pi)
+                at, heading = _random_position(area, rng), rng.uniform(0, np.pi)
                 kept.append(rectangle_polygon(at, heading, rng.uniform(1.2, 2.6), 1.1))
-            cracks += [_crack(_random_place(area, rng), rng.uniform(0, np.pi), rng) for _ in range(3)]
+            cracks += [_crack(_random_position(area, rng), rng.uniform(0, np.pi), rng) for _ in range(3)]
     seams = [shape.boundary.buffer(0.035, cap_style="flat") for shape in (*new, *old)]
     return unary_union(new), unary_union(old), unary_union([*seams, *cracks])
 
 
-def _random_place(region: Any, rng: np.random.Generator) -> Array:
+def _random_position(region: Any, rng: np.random.Generator) -> Array:
     """Return a random position (2,) inside a region."""
     x0, y0, x1, y1 = region.bounds
     while True:
-        place = rng.uniform((x0, y0), (x1, y1))
-        if region.contains(Point(place)):
-            return np.asarray(place)
+        position = rng.uniform((x0, y0), (x1, y1))
+        if region.contains(Point(position)):
+            return np.asarray(position)
 
 
 def _crack(at: Array, heading: float, rng: np.random.Generator) -> Polygon:

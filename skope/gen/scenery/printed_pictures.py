@@ -87,10 +87,10 @@ def poster(width: float, height: float, rng: np.random.Generator) -> Solid:
         edge = height * rng.uniform(0.15, 0.6)
         low, high = (0.0, edge) if rng.random() < 0.7 else (edge, height)
         out.pane(drawn_color(rng, 0.6), (0.0, width), (low, high), LAYER_GAP_M)
-    what = rng.random()
-    if what < 0.55:
+    choice = rng.random()
+    if choice < 0.55:
         _put(out, vehicle_from_side(rng), (width, height), 0.44, rng)
-    elif what < 0.8:
+    elif choice < 0.8:
         _put(out, vehicle_from_front(rng), (width, height), 0.78, rng)
     else:
         _put(out, logo(rng), (width, height), 1.0, rng)

@@ -191,8 +191,8 @@ def posts(rng: np.random.Generator) -> Mesh:
     band = str(rng.choice(["sign_white", "sign_yellow", "sign_red", "lettering"]))
     steps = [BELOW_GROUND_M, 0.5 * high, 0.62 * high, 0.74 * high, 0.86 * high, high, high + 0.4 * radius]
     profile = [(z, radius) for z in steps[:-1]] + [(steps[-1], 0.0)]
-    one = lathe(profile, [body, band, body, band, body, body], 9, "z")
-    parts = [one.moved((gap * (k - (count - 1) / 2), 0.0, 0.0)) for k in range(count)]
+    post = lathe(profile, [body, band, body, band, body, body], 9, "z")
+    parts = [post.moved((gap * (k - (count - 1) / 2), 0.0, 0.0)) for k in range(count)]
     if radius < 0.09 and rng.random() < 0.5:  # on rubber feet
         foot = lathe([(BELOW_GROUND_M, 0.2), (0.05, 0.2), (0.1, radius)], ["tyre"] * 2, 9, "z")
         parts += [foot.moved((gap * (k - (count - 1) / 2), 0.0, 0.0)) for k in range(count)]
@@ -207,15 +207,15 @@ def ticket_machines(rng: np.random.Generator) -> Mesh:
 
 def _parking_meters(color: str, rng: np.random.Generator) -> Mesh:
     count, gap = int(rng.integers(2, 4)), rng.uniform(1.6, 2.4)
-    one = Solid()
-    one.box(color, (-0.11, -0.08, 1.1), (0.11, 0.08, 1.42))
-    one.extrude(color, [(0.08, 1.42), (0.06, 1.5), (0.0, 1.53)], (-0.09, 0.09))
+    meter = Solid()
+    meter.box(color, (-0.11, -0.08, 1.1), (0.11, 0.08, 1.42))
+    meter.extrude(color, [(0.08, 1.42), (0.06, 1.5), (0.0, 1.53)], (-0.09, 0.09))
     front = Solid()
     front.pane("shop_window", (-0.075, 0.075), (1.28, 1.4), LAYER_GAP_M)
     front.pane("sign_red", (-0.04, 0.04), (1.16, 1.22), LAYER_GAP_M)
-    one.add(front.placed((0.0, 0.08, 0.0), TOWARDS_ROAD))
+    meter.add(front.placed((0.0, 0.08, 0.0), TOWARDS_ROAD))
     pole = lathe([(BELOW_GROUND_M, 0.035), (1.12, 0.035)], ["zinc"], 8, "z")
-    whole = merged([one.mesh(), pole])
+    whole = merged([meter.mesh(), pole])
     return merged(whole.moved((gap * (k - (count - 1) / 2), 0.0, 0.0)) for k in range(count))
 
 
@@ -244,10 +244,10 @@ def phone_boxes(rng: np.random.Generator) -> Mesh:
     color = str(rng.choice(["sign_red", "frame_dark", "zinc", "#dd1188", drawn_color(rng)]))
     half, top = 0.45, rng.uniform(2.2, 2.45)
     rows = int(rng.integers(2, 7))
-    one = Solid()
-    one.box(color, (-half, -half, BELOW_GROUND_M), (half, half, top - 0.25), without="-z +z")
-    one.box(color, (-half - 0.03, -half - 0.03, top - 0.25), (half + 0.03, half + 0.03, top))
-    one.extrude(color, [(half - 0.02, top), (0.5 * half, top + 0.08)], (-half + 0.02, half - 0.02))
+    booth = Solid()
+    booth.box(color, (-half, -half, BELOW_GROUND_M), (half, half, top - 0.25), without="-z +z")
+    booth.box(color, (-half - 0.03, -half - 0.03, top - 0.25), (half + 0.03, half + 0.03, top))
+    booth.extrude(color, [(half - 0.02, top), (0.5 * half, top + 0.08)], (-half + 0.02, half - 0.02))
     wall = Solid()
     edges = np.linspace(0.4, top - 0.3, rows + 1)
     for low, high in itertools.pairwise(edges):
@@ -255,9 +255,9 @@ def phone_boxes(rng: np.random.Generator) -> Mesh:
     wall.pane("sign_white", (-half + 0.06, half - 0.06), (top - 0.2, top - 0.05), 0.03 + LAYER_GAP_M)
     wall.add(letters(1.4 * half, 0.09, rng), (-0.7 * half, top - 0.17, 0.03 + 2 * LAYER_GAP_M))
     for x, y in ((0.0, 1.0), (0.0, -1.0), (1.0, 0.0), (-1.0, 0.0)):
-        one.add(wall.placed((half * x, half * y, 0.0), ((-y, x, 0.0), (0.0, 0.0, 1.0), (x, y, 0.0))))
+        booth.add(wall.placed((half * x, half * y, 0.0), ((-y, x, 0.0), (0.0, 0.0, 1.0), (x, y, 0.0))))
     count = int(rng.integers(1, 4))
-    return merged(one.mesh().moved((1.15 * (k - (count - 1) / 2), 0.0, 0.0)) for k in range(count))
+    return merged(booth.mesh().moved((1.15 * (k - (count - 1) / 2), 0.0, 0.0)) for k in range(count))
 
 
 def message_board(rng: np.random.Generator) -> Mesh:

@@ -69,15 +69,15 @@ def concrete_barriers(rng: np.random.Generator) -> Mesh:
     for level, count in enumerate(range(int(rng.integers(2, 4)), 0, -1)):
         foot = 0.83 * level
         for k in range(count):
-            one, y = Solid(), 0.64 * (k - (count - 1) / 2)
+            barrier, y = Solid(), 0.64 * (k - (count - 1) / 2)
             low = BELOW_GROUND_M if level == 0 else 0.0
-            one.extrude(color, [(0.3, low), *JERSEY_PROFILE[1:]], (-length / 2, length / 2))
+            barrier.extrude(color, [(0.3, low), *JERSEY_PROFILE[1:]], (-length / 2, length / 2))
             if level:
                 for at in (-0.3 * length, 0.25 * length):
-                    one.box("timber", (at, -0.34, -0.02), (at + 0.1, 0.34, 0.01))
+                    barrier.box("timber", (at, -0.34, -0.02), (at + 0.1, 0.34, 0.01))
                 end = length / 2
-                one.face(color, (-end, 0.3, 0.0), (end, 0.3, 0.0), (end, -0.3, 0.0), (-end, -0.3, 0.0))
-            out.add(one, (0.0, y, foot))
+                barrier.face(color, (-end, 0.3, 0.0), (end, 0.3, 0.0), (end, -0.3, 0.0), (-end, -0.3, 0.0))
+            out.add(barrier, (0.0, y, foot))
     return out.mesh()
 
 
@@ -104,24 +104,24 @@ def portable_toilets(rng: np.random.Generator) -> Mesh:
     """Return one to four portable toilets in a row: ribbed plastic, a door with a white sign, a pale roof."""
     color, roof = drawn_color(rng), str(rng.choice(["sign_white", "#cccccc", "#dddddd"]))
     half, top = 0.55, 2.1
-    one = Solid()
-    one.box(_DARK_COLOR, (-half, -half, BELOW_GROUND_M), (half, half, 0.12), without="-z")
-    one.box(color, (-half + 0.03, -half + 0.03, 0.12), (half - 0.03, half - 0.03, top), without="-z")
+    cabin = Solid()
+    cabin.box(_DARK_COLOR, (-half, -half, BELOW_GROUND_M), (half, half, 0.12), without="-z")
+    cabin.box(color, (-half + 0.03, -half + 0.03, 0.12), (half - 0.03, half - 0.03, top), without="-z")
     for side in (-half, half - 0.03):
         for y in (-0.4, -0.12, 0.16):
-            one.box(color, (side, y, 0.3), (side + 0.03, y + 0.16, 1.7))
-    one.extrude(
+            cabin.box(color, (side, y, 0.3), (side + 0.03, y + 0.16, 1.7))
+    cabin.extrude(
         roof, [(half, top), (half, top + 0.06), (0.6 * half, top + 0.2), (0.3 * half, top + 0.24)], (-half, half)
     )
-    one.box(_DARK_COLOR, (0.38, -0.5, top + 0.1), (0.48, -0.4, top + 0.5), without="-z")
+    cabin.box(_DARK_COLOR, (0.38, -0.5, top + 0.1), (0.48, -0.4, top + 0.5), without="-z")
     front = Solid()
     front.pane(drawn_color(rng) if rng.random() < 0.4 else color, (-0.42, 0.42), (0.2, 1.98), 0.02)
     front.pane("sign_white", (-0.16, 0.16), (1.4, 1.7), 0.02 + LAYER_GAP_M)
     front.pane("sign_red", (0.28, 0.36), (1.0, 1.06), 0.02 + LAYER_GAP_M)
     front.pane(_DARK_COLOR, (-0.38, 0.38), (1.84, 1.92), 0.02 + LAYER_GAP_M)
-    one.add(front.placed((0.0, half - 0.03, 0.0), TOWARDS_ROAD))
+    cabin.add(front.placed((0.0, half - 0.03, 0.0), TOWARDS_ROAD))
     count = int(rng.integers(1, 5))
-    mesh = one.mesh()
+    mesh = cabin.mesh()
     return merged(mesh.moved((1.2 * (k - (count - 1) / 2), 0.0, 0.0), rng.normal(0, 0.03)) for k in range(count))
 
 
@@ -188,8 +188,8 @@ def _tube(out: Solid, color: str, points: Array) -> None:
     a, b, c, d = around[:-1, :-1], around[:-1, 1:], around[1:, 1:], around[1:, :-1]
     out.faces(color, np.stack([a, b, c, d], axis=2).reshape(-1, 4, 3))
     for first, *ring in (points[:, 0], points[::-1, -1]):
-        for one, other in itertools.pairwise(ring):
-            out.face(color, first, one, other)
+        for second, third in itertools.pairwise(ring):
+            out.face(color, first, second, third)
 
 
 def covered_caravan(rng: np.random.Generator) -> Mesh:
@@ -276,12 +276,12 @@ def bales(rng: np.random.Generator) -> Mesh:
         (half, radius - 0.06),
         (half, 0.0),
     ]
-    one = lathe(profile, [end, color, color, color, end], 18, "y")
+    bale = lathe(profile, [end, color, color, color, end], 18, "y")
     count, sunk = int(rng.integers(1, 5)), radius - 0.06
-    out_parts = [one.moved((2.0 * radius * (k - (count - 1) / 2), rng.normal(0, 0.05), sunk)) for k in range(count)]
+    out_parts = [bale.moved((2.0 * radius * (k - (count - 1) / 2), rng.normal(0, 0.05), sunk)) for k in range(count)]
     if count > 1 and rng.random() < 0.5:
         lift = sunk + np.sqrt(3.0) * radius
-        out_parts += [one.moved((2.0 * radius * (k + 0.5 - (count - 1) / 2), 0.0, lift)) for k in range(count - 1)]
+        out_parts += [bale.moved((2.0 * radius * (k + 0.5 - (count - 1) / 2), 0.0, lift)) for k in range(count - 1)]
     return merged(out_parts)
 
 

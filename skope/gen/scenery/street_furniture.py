@@ -44,12 +44,12 @@ def furniture(layout: Layout, keep_clear: Any, rng: np.random.Generator, *, lit_
     spots = _Spots(layout, blocked)
     for edge in layout.graph.edges_of("ground"):
         for offset, s, make in _furniture_along(layout, edge, rng, lit_roads):
-            place, heading = beside(edge, s, offset)
-            if layout.camera_distance(place) > LAND_USE.plain_from_m:
+            position, heading = beside(edge, s, offset)
+            if layout.camera_distance(position) > LAND_USE.plain_from_m:
                 continue
             made = make()
-            if spots.take(place, heading, made):
-                yield made.moved(layout.on_ground(place), heading)
+            if spots.take(position, heading, made):
+                yield made.moved(layout.on_ground(position), heading)
 
 
 class _Spots:
@@ -61,17 +61,17 @@ class _Spots:
         shapely.prepare(self._road)
         self._taken: list[tuple[Array, Any]] = []
 
-    def take(self, place: Array, heading: float, made: Mesh) -> bool:
+    def take(self, position: Array, heading: float, made: Mesh) -> bool:
         """Return whether an object fits there; if it does, reserve the position."""
         c, s = np.cos(heading), np.sin(heading)
         low = made.vertices[made.vertices[:, 2] < FURNITURE_LIMITS.overhead_m, :2]
-        plan = low @ np.array([[c, s], [-s, c]]) + place
+        plan = low @ np.array([[c, s], [-s, c]]) + position
         shape = shapely.MultiPoint(plan).convex_hull.buffer(0.02)
         if shape.intersects(self._blocked) or shape.distance(self._road) < FURNITURE_LIMITS.clearance_m:
             return False
-        if any(abs(place - at).max() < 9.0 and shape.distance(other) < 0.6 for at, other in self._taken):
+        if any(abs(position - at).max() < 9.0 and shape.distance(neighbour) < 0.6 for at, neighbour in self._taken):
             return False
-        self._taken.append((place, shape))
+        self._taken.append((position, shape))
         return True
 
 

@@ -164,7 +164,7 @@ TREE_SPECIES: Final = {
 @dataclass(frozen=True, eq=False)
 class Tree:
     species: Species
-    place: Array
+    position: Array
     """(2,) position of the foot, metres."""
     height: float
     room: float
@@ -181,7 +181,7 @@ class Tree:
 
     @property
     def pit(self) -> Polygon:
-        return rectangle_polygon(self.place, 0.0, 1.2, 1.2)
+        return rectangle_polygon(self.position, 0.0, 1.2, 1.2)
 
 
 def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
@@ -203,10 +203,10 @@ def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
         edges = graph.edges_of("ground")
         if line.roads:
             edges = [edge for edge in graph.edges if edge.getType() in line.roads]
-        for edge, place, _ in places_along(edges, line.spacing, line.offset):
+        for edge, position, _ in places_along(edges, line.spacing, line.offset):
             street = line.offset < graph.kind(edge).sidewalk
             wander = rng.uniform(-1.0, 1.0, 2) * (0.15 if street else line.wander * line.offset)
-            at, species, likely = place + wander, drawn_name(style.species, rng), rng.random()
+            at, species, likely = position + wander, drawn_name(style.species, rng), rng.random()
             if likely < line.chance and is_free(keep_clear, at, 0.4):
                 grow(at, street, TREE_SPECIES[species])
     # Crowns in medians are too high to hide anything in a camera's view, except near a camera.
@@ -235,7 +235,7 @@ def tree_meshes(layout: Layout, trees: list[Tree], rng: np.random.Generator) -> 
     season = layout.style.season
     for tree in trees:
         mesh = _tree_in_season(tree, season, rng) if season else _tree(tree, rng)
-        yield mesh.moved(layout.on_ground(tree.place), rng.uniform(0, 2 * np.pi))
+        yield mesh.moved(layout.on_ground(tree.position), rng.uniform(0, 2 * np.pi))
 
 
 def _tree_in_season(tree: Tree, season: Season, rng: np.random.Generator) -> Mesh:

@@ -137,7 +137,7 @@ class Walkers:
     def __init__(self, paths: Sequence[Array], rng: np.random.Generator, parked: Sequence[Polygon] = ()) -> None:
         """Draw pedestrians; `paths` are centre lines (N, 3) of sidewalks, `parked` footprints of vehicles, metres."""
         self._walks: list[_Walk] = []
-        standing = unary_union([place.buffer(SIDEWALK_CROWDS.elbow_room_m) for place in parked])
+        standing = unary_union([footprint.buffer(SIDEWALK_CROWDS.elbow_room_m) for footprint in parked])
         for path in paths:
             length = _length(path)
             for _ in range(rng.poisson(length / 100 * SIDEWALK_CROWDS.per_100_m)):
@@ -169,7 +169,7 @@ class Walkers:
             raining: Whether it rains, which makes many pedestrians carry umbrellas.
         """
         out = cls((), rng)
-        standing = unary_union([place.buffer(SIDEWALK_CROWDS.elbow_room_m) for place in parked])
+        standing = unary_union([footprint.buffer(SIDEWALK_CROWDS.elbow_room_m) for footprint in parked])
         crowd = math.exp(
             rng.uniform(math.log(SIDEWALK_CROWDS.groups_per_100_m[0]), math.log(SIDEWALK_CROWDS.groups_per_100_m[1]))
         )
@@ -234,10 +234,10 @@ def _place_walker(walk: _Walk, time: float) -> PlacedBystander:
     yaw = math.atan2(along[1], along[0])
     # The offset is to the right of the path's direction, whichever way the pedestrian walks.
     right = np.array([along[1], -along[0], 0.0]) * way / max(float(np.hypot(along[0], along[1])), 1e-9)
-    place = here + walk.aside * right
+    position = here + walk.aside * right
     look, speed = walk.body.look, abs(walk.speed)
-    place[2] -= sunk(look, travelled, speed) if walk.body.jointed else lowered(look, travelled)
-    T = _frame((float(place[0]), float(place[1]), float(place[2])), yaw + walk.facing, 0.0, 0.0)
+    position[2] -= sunk(look, travelled, speed) if walk.body.jointed else lowered(look, travelled)
+    T = _frame((float(position[0]), float(position[1]), float(position[2])), yaw + walk.facing, 0.0, 0.0)
     return PlacedBystander(walk.body, T, abs(walk.speed) * np.array([math.cos(yaw), math.sin(yaw), 0.0]), travelled)
 
 

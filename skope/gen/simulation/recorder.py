@@ -115,16 +115,16 @@ def parked_vehicles(
         model = names[rng.choice(len(names), p=shares / shares.sum())]
         color = draw_paint(models[model].vehicle, rng)
         yaw = bay.heading + (math.pi if rng.random() < 0.4 else 0.0) + rng.normal(0, 0.02)
-        place = np.array(bay.place) + rng.normal(0, 0.08, 2)
-        out.append(Parked(f"b{i:04d}", model, color, _standing(layout, place, float(yaw))))
+        position = np.array(bay.position) + rng.normal(0, 0.08, 2)
+        out.append(Parked(f"b{i:04d}", model, color, _standing(layout, position, float(yaw))))
     return out
 
 
-def _standing(layout: Layout, place: np.ndarray, yaw: float) -> Driven:
+def _standing(layout: Layout, middle: np.ndarray, yaw: float) -> Driven:
     """Return the state of a vehicle that stands on the ground beside the road, level across."""
     ahead = 1.3 * np.array([math.cos(yaw), math.sin(yaw)])
-    front, rear = (layout.height(layout.graph.world(at)) for at in (place + ahead, place - ahead))
-    position = (float(place[0]), float(place[1]), (front + rear) / 2)
+    front, rear = (layout.height(layout.graph.world(at)) for at in (middle + ahead, middle - ahead))
+    position = (float(middle[0]), float(middle[1]), (front + rear) / 2)
     return Driven(position, yaw, math.atan2(front - rear, 2.6), 0.0, 0)
 
 
@@ -277,30 +277,30 @@ class Recorder:
             lamps = flashed(driven.lamps, time, name) | self._always | self._daytime_lamps(name)
             color = self._paint(name, vehicle, traffic.trips[name].color)
             self._note(frame, name, vehicle.model, vehicle.shape.to_dict(), color, poses[name], lamps)
-        for name, (one, pose) in self._parked.items():
+        for name, (standing, pose) in self._parked.items():
             shape = self._vehicles[name].shape.to_dict()
-            color = self._paint(name, self._vehicles[name], one.color)
-            self._note(frame, name, one.model, shape, color, pose, 0, parked=True)
+            color = self._paint(name, self._vehicles[name], standing.color)
+            self._note(frame, name, standing.model, shape, color, pose, 0, parked=True)
 
     def in_view(self, bays: Iterable[Bay]) -> list[Bay]:
         """Return the bays that are near enough for vehicles parked in them to be recorded."""
-        return [bay for bay in bays if self._distance(bay.place) < RECORDING_REACH.parked_within_m]
+        return [bay for bay in bays if self._distance(bay.position) < RECORDING_REACH.parked_within_m]
 
     def park(self, vehicles: Iterable[Parked]) -> None:
         """Add parked vehicles, which appear in every frame."""
-        for one in vehicles:
-            self._parked[one.name] = one, at_rest(self._vehicle(one.name, one.model), one.state)
+        for vehicle in vehicles:
+            self._parked[vehicle.name] = vehicle, at_rest(self._vehicle(vehicle.name, vehicle.model), vehicle.state)
 
-    def add_others(self, others: Mapping[str, PlacedBystander]) -> None:
+    def add_bystanders(self, bystanders: Mapping[str, PlacedBystander]) -> None:
         """Add bystanders, by name, to the last added frame."""
-        for name, other in others.items():
-            if self._distance(other.T_world_body[:2, 3].tolist()) < RECORDING_REACH.simulated_within_m:
-                parts, look = other.part_poses, other.body.look.to_dict()
+        for name, bystander in bystanders.items():
+            if self._distance(bystander.T_world_body[:2, 3].tolist()) < RECORDING_REACH.simulated_within_m:
+                parts, look = bystander.part_poses, bystander.body.look.to_dict()
                 more = np.concatenate([parts[4:], trailer_motion.NO_TRAILER[: 7 - len(parts)]])
-                pose = Pose(other.T_world_body, parts[:4], other.velocity, more)
+                pose = Pose(bystander.T_world_body, parts[:4], bystander.velocity, more)
                 dark = bool(self._always)
-                lamps = _rider_lamps(other.body.kind, name, dark) if other.body.jointed else self._always
-                self._note(len(self._times) - 1, name, other.body.kind, look, "black", pose, lamps, labelled=False)
+                lamps = _rider_lamps(bystander.body.kind, name, dark) if bystander.body.jointed else self._always
+                self._note(len(self._times) - 1, name, bystander.body.kind, look, "black", pose, lamps, labelled=False)
 
     def _note(
         self,
@@ -321,13 +321,13 @@ class Recorder:
             self._index[name] = len(self._entries)
             track = self._first_track + len(self._entries)
             recurs = labelled and self._plan.variation.views > 0
-            one = RecordedVehicle(track, model, shape, color, parked=parked, labelled=labelled, recurs=recurs)
-            self._entries.append(one)
+            recorded = RecordedVehicle(track, model, shape, color, parked=parked, labelled=labelled, recurs=recurs)
+            self._entries.append(recorded)
         self._rows.append((frame, self._index[name], pose, lamps))
 
-    def _shows(self, place: Array) -> bool:
+    def _shows(self, position: Array) -> bool:
         """Return whether a road user at a position (3,), its shadow or the light of its lamps may be visible."""
-        away = place - self._eye_3d
+        away = position - self._eye_3d
         distance = float(np.linalg.norm(away))
         if distance <= self._around:
             return True

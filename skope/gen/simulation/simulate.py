@@ -106,9 +106,9 @@ def simulate_together(plans: Sequence[RecordingPlan]) -> list[Recording]:
         cameras.set_up()
         for k, (snapshot, driven) in enumerate(drivable(snapshots, step)):
             near = [recorder.near(driven, traffic) for recorder in cameras.recorders]
-            world.advance({name: one for of_camera in near for name, one in of_camera.items()})
+            world.advance({name: vehicle for of_camera in near for name, vehicle in of_camera.items()})
             riding = riders.follow(snapshot.riders, step)
-            for recorder, own, walkers, start, plan in zip(
+            for recorder, driven_near, walkers, start, plan in zip(
                 cameras.recorders, near, cameras.walkers, starts, plans, strict=True
             ):
                 frame, between = divmod(k - start, stride)
@@ -116,8 +116,8 @@ def simulate_together(plans: Sequence[RecordingPlan]) -> list[Recording]:
                     time = frame * stride * step
                     far = recorder.far(driven, traffic)
                     poses = {name: at_rest(*placed) for name, placed in far.items()} | world.poses()
-                    recorder.add(time, own | far, poses, snapshot, traffic)
-                    recorder.add_others({**riding, **walkers.at(time)})
+                    recorder.add(time, driven_near | far, poses, snapshot, traffic)
+                    recorder.add_bystanders({**riding, **walkers.at(time)})
     return cameras.recordings()
 
 
@@ -137,13 +137,13 @@ class _Cameras:
         self._plans, self._conditions, self._models = list(plans), conditions, models
         self._starts, self._stride = starts, stride
         variation = plans[0].variation
-        self._cameras = [] if variation.views else [self._own_camera(plans[0], conditions[0])]
+        self._cameras = [] if variation.views else [self._site_camera(plans[0], conditions[0])]
         if variation.town_jitter and not variation.views:
             self._move_to(_variant(plans[0], ()))
         if self._cameras:
             self._add_recorders()
 
-    def _own_camera(self, plan: RecordingPlan, conditions: Conditions) -> Camera:
+    def _site_camera(self, plan: RecordingPlan, conditions: Conditions) -> Camera:
         return sample_camera(plan.site, _camera_ranges(plan, conditions), plan.rng(Stream.CAMERA))
 
     def watch(self, x: float, y: float) -> bool:
@@ -182,7 +182,7 @@ class _Cameras:
         in_view = {bay: None for recorder in self.recorders for bay in recorder.in_view(bays_of(town))}
         rng, most = first.shared_rng(Stream.PARKED_VEHICLES), RECORDING_REACH.most_parked * len(self._plans)
         standing = parked_vehicles(town, list(in_view), self._models, rng, most=most)
-        footprints = [one.footprint(self._models[one.model].vehicle) for one in standing]
+        footprints = [vehicle.footprint(self._models[vehicle.model].vehicle) for vehicle in standing]
         masts = town.variant.masts if town.variant else ()
         places = [mast.position for mast in masts] or [first.site.position]
         cameras = zip(self._plans, places, self.recorders, self._conditions, strict=True)
@@ -241,8 +241,8 @@ def _places(snapshots: Sequence[Snapshot]) -> Array:
     """Return the positions (F, V, 3) of vehicles on the road in snapshots, world; NaN for absent vehicles."""
     out = np.full((len(snapshots), max((len(s.vehicles) for s in snapshots), default=0), 3), np.nan)
     for row, snapshot in zip(out, snapshots, strict=True):
-        for place, vehicle in zip(row, snapshot.vehicles.values(), strict=False):
-            place[:] = (*vehicle.lane_point, vehicle.height)
+        for position, vehicle in zip(row, snapshot.vehicles.values(), strict=False):
+            position[:] = (*vehicle.lane_point, vehicle.height)
     return out
 
 
@@ -256,15 +256,15 @@ def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
     usual = {name: entry for name, entry in driving.items() if not (train and entry.held_out)}
     models = in_town(usual, plan.site.town.name)
     asked = {name: _asked(name) for name in plan.vehicles}
-    others = {name: entry for name, entry in models.items() if name not in asked}
-    total = sum(entry.share for entry in others.values())
+    unrequested = {name: entry for name, entry in models.items() if name not in asked}
+    total = sum(entry.share for entry in unrequested.values())
     if plan.vehicle_share is None:
         part = SIMULATION_TIMES.added_share * total
     elif plan.vehicle_share < 1:
         part = total * plan.vehicle_share / (1 - plan.vehicle_share) / len(asked)
     else:
-        others, part = {}, 1.0
-    return others | {name: FleetEntry(vehicle, part) for name, vehicle in asked.items()}
+        unrequested, part = {}, 1.0
+    return unrequested | {name: FleetEntry(vehicle, part) for name, vehicle in asked.items()}
 
 
 def _asked(name: str) -> Vehicle:

@@ -31,7 +31,7 @@ class PathSmoothing:
     """Time to either side at which the Gaussians are truncated, seconds."""
     lock_rad: float = 0.65
     """Maximum steering angle of the front wheels, radians; kerb-to-kerb turning circle: sedan 11 m, bus 21 m."""
-    place_columns: int = 6
+    state_columns: int = 6
     """Number of columns per vehicle and step: x and y of its lane point, travelled distance, speed, height, slope.
 
     An articulated vehicle has one more column, the height of the road under its trailer's axles."""
@@ -105,14 +105,14 @@ class _Way:
         self.bicycle: _Bicycle | None = None
         self._trailer: Follower | None = None
         self._rows = array("d")
-        self._columns = PATH_SMOOTHING.place_columns
+        self._columns = PATH_SMOOTHING.state_columns
 
     def add(self, placed: SumoVehicle) -> None:
         """Add the vehicle's state in SUMO at the next step."""
         self.placed.append(placed)
         self._rows.extend((*placed.lane_point, placed.driven, placed.speed, placed.height, placed.pitch))
         if placed.trailer:
-            self._columns = PATH_SMOOTHING.place_columns + 1
+            self._columns = PATH_SMOOTHING.state_columns + 1
             self._rows.append(placed.trailer.height)
 
     def driven(self, start: int, stop: int, weights: NDArray[np.float64], dt: float) -> Iterator[tuple[int, Driven]]:
@@ -138,27 +138,30 @@ class _Way:
                 travel = self.bicycle.follow(
                     x, y, chassis.lane_point * level, math.tan(PATH_SMOOTHING.lock_rad) / chassis.wheelbase
                 )
-            one, middle = self.bicycle, chassis.middle * level
-            place = (one.x + middle * math.cos(one.yaw), one.y + middle * math.sin(one.yaw), height)
-            trailer = self._follow(placed, one, level, trailer_height[0]) if trailer_height else None
-            yield k, Driven(place, one.yaw, pitch, travel / dt / level, placed.lamps, trailer)
+            bicycle, middle = self.bicycle, chassis.middle * level
+            position = (bicycle.x + middle * math.cos(bicycle.yaw), bicycle.y + middle * math.sin(bicycle.yaw), height)
+            trailer = self._follow(placed, bicycle, level, trailer_height[0]) if trailer_height else None
+            yield k, Driven(position, bicycle.yaw, pitch, travel / dt / level, placed.lamps, trailer)
 
-    def _follow(self, placed: SumoVehicle, one: _Bicycle, level: float, height: float) -> DrivenTrailer:
+    def _follow(self, placed: SumoVehicle, bicycle: _Bicycle, level: float, height: float) -> DrivenTrailer:
         """Move the trailer behind the vehicle at a step; it starts with its heading in SUMO.
 
         Args:
             placed: State of the vehicle in SUMO.
-            one: Smoothed position of the vehicle.
+            bicycle: Smoothed position of the vehicle.
             level: Horizontal length of one metre along the road, metres.
             height: Height of the road under the trailer's axles, metres.
         """
         hitch = placed.chassis.hitch
         assert hitch is not None
         assert placed.trailer is not None
-        hinge = one.x + hitch.hinge * level * math.cos(one.yaw), one.y + hitch.hinge * level * math.sin(one.yaw)
+        hinge = (
+            bicycle.x + hitch.hinge * level * math.cos(bicycle.yaw),
+            bicycle.y + hitch.hinge * level * math.sin(bicycle.yaw),
+        )
         if self._trailer is None:
             self._trailer = Follower(hitch, *hinge, placed.trailer.yaw)
-        self._trailer.follow(*hinge, one.yaw)
+        self._trailer.follow(*hinge, bicycle.yaw)
         return DrivenTrailer(self._trailer.yaw, height, self._trailer.rolled)
 
     def _smoothed(self, start: int, stop: int, weights: NDArray[np.float64], dt: float) -> NDArray[np.float64]:

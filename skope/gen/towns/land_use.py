@@ -115,8 +115,8 @@ class Layout:
         parts = []
         for edge in self.graph.edges:
             kind = self.graph.kind(edge)
-            if (own := getattr(kind, width)) and kind.form == "ground":
-                beyond = own + (LAND_USE.kerb_m if self.style.kerb else 0.0)
+            if (strip := getattr(kind, width)) and kind.form == "ground":
+                beyond = strip + (LAND_USE.kerb_m if self.style.kerb else 0.0)
                 for lane in driven(edge):
                     line = LineString(lane.getShape())
                     parts.append(line.buffer(lane.getWidth() / 2 + beyond, cap_style="flat"))
@@ -141,9 +141,9 @@ class Layout:
         """Area around the cameras without high objects."""
         return unary_union([Point(site.position[:2]).buffer(LAND_USE.camera_clearance_m) for site in self.sites])
 
-    def camera_distance(self, place: Array) -> float:
-        """Return the distance of a place (2,) from the nearest camera, metres."""
-        return min((float(np.hypot(*(place - site.position[:2]))) for site in self.sites), default=np.inf)
+    def camera_distance(self, position: Array) -> float:
+        """Return the distance of a position (2,) from the nearest camera, metres."""
+        return min((float(np.hypot(*(position - site.position[:2]))) for site in self.sites), default=np.inf)
 
     def sightlines(self, reach: float) -> Region:
         """Return the region between the cameras and the carriageway that they see within `reach` metres."""
@@ -165,13 +165,13 @@ class Layout:
         driven_on, shaping = self.graph.ground_lanes("ground", "walled"), self.graph.ground_lanes("ground")
         return GroundSurface(self.style.terrain, Lanes(driven_on), Lanes(shaping))
 
-    def height(self, place: ArrayLike) -> float:
-        """Return the height of the ground or sidewalk at a place (2,) beside the carriageway, metres."""
-        return float(self.ground.beside(np.asarray(place, dtype=np.float64)[None])[0]) + self.style.kerb
+    def height(self, position: ArrayLike) -> float:
+        """Return the height of the ground or sidewalk at a position (2,) beside the carriageway, metres."""
+        return float(self.ground.beside(np.asarray(position, dtype=np.float64)[None])[0]) + self.style.kerb
 
-    def on_ground(self, place: ArrayLike) -> tuple[float, float, float]:
-        """Return a place (2,) beside the carriageway with the height of the ground or sidewalk there, metres."""
-        x, y = np.asarray(place, dtype=np.float64)
+    def on_ground(self, position: ArrayLike) -> tuple[float, float, float]:
+        """Return a position (2,) beside the carriageway with the height of the ground or sidewalk there, metres."""
+        x, y = np.asarray(position, dtype=np.float64)
         return float(x), float(y), self.height((x, y))
 
     def draped(self, mesh: Mesh) -> Mesh:
@@ -204,7 +204,7 @@ def _sightlines(site: Site, road: Region, reach: float) -> Region:
 
 
 def sidewalks(town: Town, center: tuple[float, float], reach: float) -> list[Array]:
-    """Return the centre lines (N, 3) of the sidewalks within `reach` metres of a place."""
+    """Return the centre lines (N, 3) of the sidewalks within `reach` metres of a position."""
     layout = Layout.of(town)
     graph = layout.graph
     around = Point(graph.world(center)).buffer(reach)
@@ -219,8 +219,8 @@ def sidewalks(town: Town, center: tuple[float, float], reach: float) -> list[Arr
             if graph.kind(edge).form == "ground"
             for lane in driven(edge)
         ]
-        own = unary_union(strips).buffer(width).intersection(layout.sidewalk).intersection(around)
-        middle = shapely.line_merge(graph.road.buffer(beyond).boundary.intersection(own))
+        area = unary_union(strips).buffer(width).intersection(layout.sidewalk).intersection(around)
+        middle = shapely.line_merge(graph.road.buffer(beyond).boundary.intersection(area))
         out += [
             graph.world(_walk_path(layout, line))
             for line in _walk_lines(middle)
@@ -237,15 +237,15 @@ def _walk_lines(shape: shapely.Geometry) -> list[LineString]:
 def _walk_path(layout: Layout, line: LineString) -> Array:
     marks = np.linspace(0, line.length, max(2, round(line.length / LAND_USE.walk_spacing_m)))
     xs = np.union1d(marks, [line.project(Point(point)) for point in line.coords])
-    places = np.array([line.interpolate(x).coords[0] for x in xs])
-    return np.array([layout.on_ground(place) for place in places])
+    positions = np.array([line.interpolate(x).coords[0] for x in xs])
+    return np.array([layout.on_ground(position) for position in positions])
 
 
 @dataclass(frozen=True)
 class Bay:
     """Parking bay for one car."""
 
-    place: tuple[float, float]
+    position: tuple[float, float]
     """World x and y of its middle, metres."""
     heading: float
     """Direction in which a car drives into the bay, counter-clockwise from east, radians."""
@@ -254,7 +254,7 @@ class Bay:
 def ground_of(bays: Iterable[Bay]) -> Any:
     """Return the ground area of bays along kerbs."""
     return unary_union(
-        [rectangle_polygon(np.array(bay.place), bay.heading, *LAND_USE.kerbside_m).buffer(0.01) for bay in bays]
+        [rectangle_polygon(np.array(bay.position), bay.heading, *LAND_USE.kerbside_m).buffer(0.01) for bay in bays]
     )
 
 
@@ -276,9 +276,9 @@ def _bay_rows(lot: Polygon) -> Iterator[Bay]:
         LAND_USE.lot_edge_m + LAND_USE.bay_m[0] / 2, depth - LAND_USE.bay_m[0] / 2, LAND_USE.bay_m[0] + LAND_USE.aisle_m
     ):
         for x in np.arange(2.0 + LAND_USE.bay_m[1] / 2, length - 2.0 - LAND_USE.bay_m[1] / 2, LAND_USE.bay_m[1]):
-            place = a + along * x + across * row
-            bay = Bay((float(place[0]), float(place[1])), float(np.arctan2(*across[::-1])))
-            if inside.contains(rectangle_polygon(place, bay.heading, *LAND_USE.bay_m)):
+            position = a + along * x + across * row
+            bay = Bay((float(position[0]), float(position[1])), float(np.arctan2(*across[::-1])))
+            if inside.contains(rectangle_polygon(position, bay.heading, *LAND_USE.bay_m)):
                 yield bay
 
 
@@ -296,10 +296,10 @@ def kerb_bays(layout: Layout, keep_clear: Any, rng: np.random.Generator) -> list
             continue
         first, last = LAND_USE.junction_distances_m
         for s in np.arange(first, driven(edge)[0].getLength() - last, LAND_USE.kerbside_m[0]):
-            place, heading = beside(edge, float(s), LAND_USE.kerb_m + LAND_USE.kerbside_m[1] / 2)
-            ground = rectangle_polygon(place, heading, *LAND_USE.kerbside_m)
+            position, heading = beside(edge, float(s), LAND_USE.kerb_m + LAND_USE.kerbside_m[1] / 2)
+            ground = rectangle_polygon(position, heading, *LAND_USE.kerbside_m)
             if rng.random() > LAND_USE.free_share and not any(map(ground.intersects, (keep_clear, layout.graph.road))):
-                out.append(Bay((float(place[0]), float(place[1])), heading))
+                out.append(Bay((float(position[0]), float(position[1])), heading))
     return out
 
 
@@ -309,7 +309,7 @@ def bay_lines(lots: Any) -> Any:
     for bay in lot_bays(lots):
         side = np.array([-np.sin(bay.heading), np.cos(bay.heading)]) * LAND_USE.bay_m[1] / 2
         lines += [
-            rectangle_polygon(np.array(bay.place) + sign * side, bay.heading, LAND_USE.bay_m[0], 0.1)
+            rectangle_polygon(np.array(bay.position) + sign * side, bay.heading, LAND_USE.bay_m[0], 0.1)
             for sign in (-1, 1)
         ]
     return unary_union(lines).intersection(lots.buffer(-0.3)) if lines else Polygon()

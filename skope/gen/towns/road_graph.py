@@ -73,7 +73,7 @@ class RoadLimits:
     barrier_m: float = 1.5
     """Half width below which a median between retaining walls holds only a barrier, metres."""
     height_within_m: float = 42.0
-    """Distance within which lanes determine the height of the road at a place, metres."""
+    """Distance within which lanes determine the height of the road at a position, metres."""
 
 
 ROAD_LIMITS: Final = RoadLimits()
@@ -93,7 +93,7 @@ class RoadGraph:
     kinds: Mapping[str, Road]
     """Features of the roads, by SUMO edge type."""
     mirrored: bool
-    """Whether places are those of the mirror image; `world` mirrors them back."""
+    """Whether positions are those of the mirror image; `world` mirrors them back."""
 
     @classmethod
     def of(cls, town: Town) -> "RoadGraph":
@@ -115,7 +115,7 @@ class RoadGraph:
         return cls(net, tuple(edges), kinds, is_mirrored)
 
     def world(self, places: ArrayLike) -> Array:
-        """Convert places or directions (..., 2 or 3) of the graph to the world, or those of the world to the graph."""
+        """Convert positions or directions (..., 2 or 3) from the graph to the world, or from the world to the graph."""
         return _reflect(places, self.mirrored)
 
     # --------------------------------------------------------------------------------------------- edges and junctions
@@ -135,13 +135,13 @@ class RoadGraph:
         return [
             node
             for node in self.net.getNodes()
-            if any(self.kind(edge).form != "bridge" and edge in near for edge in legs(node))
+            if any(self.kind(edge).form != "bridge" and edge in near for edge in edges_at(node))
         ]
 
-    def signal_distance(self, place: Array) -> float:
-        """Return the distance of a place (2,) from the nearest signalled junction, metres."""
+    def signal_distance(self, position: Array) -> float:
+        """Return the distance of a position (2,) from the nearest signalled junction, metres."""
         nodes = [node.getCoord() for node in self.net.getNodes() if node.getType() == "traffic_light"]
-        return min((float(np.hypot(*(place - node))) for node in nodes), default=np.inf)
+        return min((float(np.hypot(*(position - node))) for node in nodes), default=np.inf)
 
     # ----------------------------------------------------------------------------------------------------- carriageway
 
@@ -190,7 +190,7 @@ class RoadGraph:
             if self.kind(edge).form in forms:
                 yield from ((lane, self.kind(edge).verge) for lane in driven(edge))
         for node in self._ground_nodes:
-            verge = max((self.kind(edge).verge for edge in legs(node)), default=0.0)
+            verge = max((self.kind(edge).verge for edge in edges_at(node)), default=0.0)
             inner = (self.net.getLane(name) for name in node.getInternal() if name)
             yield from ((lane, verge) for lane in inner if lane.allows("passenger"))
 
@@ -200,7 +200,7 @@ class RoadGraph:
         return Lanes((lane, 0.0) for edge in self.edges_of("bridge") for lane in driven(edge))
 
     def road_level(self, center: ArrayLike) -> float:
-        """Return the median height of the carriageway around a place (2,) of the world, metres."""
+        """Return the median height of the carriageway around a position (2,) in the world, metres."""
         points = Lanes((lane, 0.0) for edge in self.edges for lane in driven(edge)).points
         away = np.hypot(*(points[:, :2] - self.world(center)).T)
         return float(np.median(points[away <= max(ROAD_LIMITS.height_within_m, away.min()), 2]))
@@ -230,7 +230,7 @@ def _read_net(path: Path) -> Any:
 
 
 def _reflect(places: ArrayLike, mirrored: bool) -> Array:
-    """Return places or directions (..., 2 or 3), with y negated if they are mirrored."""
+    """Return positions or directions (..., 2 or 3), with y negated if they are mirrored."""
     out = np.array(places, dtype=np.float64)
     if mirrored:
         out[..., 1] *= -1
@@ -254,14 +254,14 @@ def driven(edge: Any) -> list[Any]:
     return [lane for lane in edge.getLanes() if lane.allows("passenger")]
 
 
-def legs(node: Any) -> list[Any]:
+def edges_at(node: Any) -> list[Any]:
     """Return the edges that begin or end at a node."""
     return [e for e in (*node.getIncoming(), *node.getOutgoing()) if not e.isSpecial() and driven(e)]
 
 
 def joins(edge: Any) -> int:
     """Return the number of edges that end at the same node."""
-    return sum(leg.getToNode() is edge.getToNode() for leg in legs(edge.getToNode()))
+    return sum(connected.getToNode() is edge.getToNode() for connected in edges_at(edge.getToNode()))
 
 
 def is_minor(edge: Any) -> bool:
@@ -282,7 +282,7 @@ def half_width(edge: Any) -> float:
 
 
 def beside(edge: Any, s: float, offset: float) -> tuple[Array, float]:
-    """Return the place (2,) `s` m along an edge and `offset` m right of its kerb, and the heading (radians)."""
+    """Return the position (2,) `s` m along an edge and `offset` m right of its kerb, and the heading (radians)."""
     lane = driven(edge)[0]
     line = _line_of(lane)
     s = float(np.clip(s, 0.0, line.length - 0.5))
@@ -298,10 +298,10 @@ def _line_of(lane: Any) -> LineString:
 
 
 def places_along(edges: Sequence[Any], spacing: float, offset: float) -> Iterator[tuple[Any, Array, float]]:
-    """Yield places beside edges, every `spacing` metres along each edge and `offset` metres to the right of its kerb.
+    """Yield positions every `spacing` metres along edges and `offset` metres to the right of their kerbs.
 
     Yields:
-        The edge, the place (2,) and the heading there (radians).
+        The edge, the position (2,) and the heading there (radians).
     """
     for edge in edges:
         for s in np.arange(spacing / 2, driven(edge)[0].getLength(), spacing):

@@ -55,8 +55,8 @@ class Site:
             distortion: Distortion of the lens. Default: none, or that of a user's own camera.
         """
         if self.road:
-            own = self.road.camera.resized(size)
-            return replace(own, distortion=distortion) if distortion else own
+            resized = self.road.camera.resized(size)
+            return replace(resized, distortion=distortion) if distortion else resized
         camera = Camera.looking(
             self.position,
             yaw=math.radians(self.yaw_deg),
@@ -115,13 +115,13 @@ def site_at(mast: Mast, town: Town, name: str) -> Site:
     )
 
 
-def site_of(own: OwnRoad, **values: Any) -> Site:
+def site_of(road: OwnRoad, **values: Any) -> Site:
     """Return the site of a user's own camera; `values` are the fields of `Site` that the road does not determine."""
-    x, y, z = own.camera.position.tolist()
-    yaw, pitch_down, _ = own.camera.angles
+    x, y, z = road.camera.position.tolist()
+    yaw, pitch_down, _ = road.camera.angles
     return Site(
-        name=own.title,
-        town=Town.of(own),
+        name=road.title,
+        town=Town.of(road),
         mounting="",
         sees="",
         position=(x, y, z),

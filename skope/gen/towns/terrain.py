@@ -64,25 +64,25 @@ class Lanes:
 
     def near(self, places: Array, reach: float) -> tuple[Array, Array]:
         """Return lane heights (N,) at places (N, 2), and distances (N,) from strips beside lanes; nan, inf if far."""
-        place, segment = self._tree.query(shapely.points(places), predicate="dwithin", distance=reach)
+        index, segment = self._tree.query(shapely.points(places), predicate="dwithin", distance=reach)
         a, along = self._a[segment], self._b[segment] - self._a[segment]
         squared = np.maximum((along[:, :2] ** 2).sum(axis=1), 1e-12)
-        share = np.clip(((places[place] - a[:, :2]) * along[:, :2]).sum(axis=1) / squared, 0, 1)
+        share = np.clip(((places[index] - a[:, :2]) * along[:, :2]).sum(axis=1) / squared, 0, 1)
         foot = a + share[:, None] * along
-        distance = np.hypot(*(places[place] - foot[:, :2]).T)
+        distance = np.hypot(*(places[index] - foot[:, :2]).T)
         # Only the nearest segment of each lane is used.
-        order = np.lexsort((distance, self._lane[segment], place))
-        place, segment, foot, distance = place[order], segment[order], foot[order], distance[order]
-        pair = np.stack([place, self._lane[segment]])
-        first = np.ones(len(place), dtype=bool)
+        order = np.lexsort((distance, self._lane[segment], index))
+        index, segment, foot, distance = index[order], segment[order], foot[order], distance[order]
+        pair = np.stack([index, self._lane[segment]])
+        first = np.ones(len(index), dtype=bool)
         first[1:] = (pair[:, 1:] != pair[:, :-1]).any(axis=0)
-        place, segment, foot, distance = place[first], segment[first], foot[first], distance[first]
+        index, segment, foot, distance = index[first], segment[first], foot[first], distance[first]
         beside = np.maximum(distance - self._half[segment], 0.0)
         weight = (beside + TERRAIN_CELLS.softening_m) ** -4.0
-        total = np.bincount(place, weight, len(places))
-        height = np.bincount(place, weight * foot[:, 2], len(places))
+        total = np.bincount(index, weight, len(places))
+        height = np.bincount(index, weight * foot[:, 2], len(places))
         away = np.full(len(places), np.inf)
-        np.minimum.at(away, place, np.maximum(beside - self._verge[segment], 0.0))
+        np.minimum.at(away, index, np.maximum(beside - self._verge[segment], 0.0))
         return np.divide(height, total, out=np.full(len(places), np.nan), where=total > 0), away
 
 

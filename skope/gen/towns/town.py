@@ -71,7 +71,7 @@ class OwnRoad:
             "style": self.style,
             "size": [self.camera.width, self.camera.height],
             "camera": self.camera.to_dict(),
-            "occluders": [[one.polygon, one.distance] for one in self.occluders],
+            "occluders": [[occluder.polygon, occluder.distance] for occluder in self.occluders],
             "shades": self.shades,
         }
 

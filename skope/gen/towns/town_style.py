@@ -266,20 +266,22 @@ class TownStyle:
 def style(town: Town) -> TownStyle:
     """Return the style of a town or of its variant."""
     if town.variant and town.variant.season:
-        at_other_times = replace(town, variant=replace(town.variant, season=0))
-        return replace(style(at_other_times), season=drawn_season(np.random.default_rng(town.variant.season)))
+        without_season = replace(town, variant=replace(town.variant, season=0))
+        return replace(style(without_season), season=drawn_season(np.random.default_rng(town.variant.season)))
     if town.variant and town.variant.seed:
         rng = np.random.default_rng([zlib.crc32(town.name.encode()), town.variant.seed])
-        return varied_style(style(Town(town.name)), [style(other) for other in towns()], rng)
+        return varied_style(style(Town(town.name)), [style(other_town) for other_town in towns()], rng)
     row = _read(town)
-    own = row.pop("kinds", {})
+    town_kinds = row.pop("kinds", {})
     shared = tomllib.loads(town_folder("buildings.toml").read_text(encoding="utf-8"))
     used = {name for part in (*row.get("rows", []), {"kinds": row.get("behind", {})}) for name in part["kinds"]}
     return TownStyle(
         terrain=Terrain(**_fixed(row.pop("terrain", {}))),
         roads={name: Road(**values) for name, values in row.pop("roads", {}).items()},
         road=Road(**row.pop("road", {})),
-        kinds={name: BuildingKind(**_fixed({**shared.get(name, {}), **own.get(name, {})})) for name in sorted(used)},
+        kinds={
+            name: BuildingKind(**_fixed({**shared.get(name, {}), **town_kinds.get(name, {})})) for name in sorted(used)
+        },
         rows=tuple(ObjectRow(**_fixed(values)) for values in row.pop("rows", [])),
         planting=tuple(Planting(**_fixed(values)) for values in row.pop("planting", [])),
         gantries=tuple(Gantry(**_fixed(values)) for values in row.pop("gantries", [])),
@@ -287,19 +289,19 @@ def style(town: Town) -> TownStyle:
     )
 
 
-def varied_style(own: TownStyle, others: Sequence[TownStyle], rng: np.random.Generator) -> TownStyle:
+def varied_style(base: TownStyle, all_styles: Sequence[TownStyle], rng: np.random.Generator) -> TownStyle:
     """Draw the style of another place of the same kind: roadside objects are drawn anew, the roads stay the same.
 
     Args:
-        own: Style of the town.
-        others: Styles of all towns, which provide trees, fences, street lights and open ground.
+        base: Style of the town.
+        all_styles: Styles of all towns, which provide trees, fences, street lights and open ground.
         rng: Random generator.
     """
 
-    def from_others(name: str) -> Any:
-        """Draw a town's value, or return the own value if it is empty: then the roads have no room for such objects."""
-        there = [getattr(other, name) for other in others if getattr(other, name)]
-        return getattr(own, name) and there[int(rng.integers(len(there)))]
+    def from_any_town(name: str) -> Any:
+        """Draw a town's value. If the base style's value is empty, return that: its roads have no room for objects."""
+        values = [getattr(town_style, name) for town_style in all_styles if getattr(town_style, name)]
+        return getattr(base, name) and values[int(rng.integers(len(values)))]
 
     def scaled(pair: Range, factor: float) -> Range:
         return pair[0] * factor, pair[1] * factor
@@ -322,7 +324,7 @@ def varied_style(own: TownStyle, others: Sequence[TownStyle], rng: np.random.Gen
             else kind.storeys,
             bay=scaled(kind.bay, float(rng.uniform(0.9, 1.2))),
         )
-        for name, kind in own.kinds.items()
+        for name, kind in base.kinds.items()
     }
     rows = tuple(
         replace(
@@ -332,38 +334,38 @@ def varied_style(own: TownStyle, others: Sequence[TownStyle], rng: np.random.Gen
             gap=scaled(row.gap, float(rng.uniform(0.7, 2.2))),
             empty=min(0.85, row.empty + max(0.0, float(rng.uniform(-0.3, 0.5)))),
         )
-        for row in own.rows
+        for row in base.rows
     )
     planting = tuple(
         replace(
             line, spacing=line.spacing * float(rng.uniform(0.8, 1.6)), chance=line.chance * float(rng.uniform(0, 1.2))
         )
-        for line in own.planting
+        for line in base.planting
     )
     return replace(
-        own,
+        base,
         kinds=kinds,
         rows=rows,
         planting=planting,
-        species=shares(from_others("species")),
-        fences=shares(from_others("fences")),
-        furniture=shares(from_others("furniture")),
-        light=from_others("light"),
-        open_ground=from_others("open_ground"),
-        horizon=from_others("horizon"),
-        hill_height=own.hill_height * float(rng.uniform(0.3, 1.8)),
-        median_trees=own.median_trees * float(rng.uniform(0.0, 1.5)),
+        species=shares(from_any_town("species")),
+        fences=shares(from_any_town("fences")),
+        furniture=shares(from_any_town("furniture")),
+        light=from_any_town("light"),
+        open_ground=from_any_town("open_ground"),
+        horizon=from_any_town("horizon"),
+        hill_height=base.hill_height * float(rng.uniform(0.3, 1.8)),
+        median_trees=base.median_trees * float(rng.uniform(0.0, 1.5)),
     )
 
 
 def _read(town: Town) -> dict[str, Any]:
-    own = town.road
+    road = town.road
     path = (
         town_folder(town.name) / "town.toml"
-        if own is None
-        else town_folder("bare.toml" if own.photograph else "generic.toml")
+        if road is None
+        else town_folder("bare.toml" if road.photograph else "generic.toml")
     )
-    return tomllib.loads((own and own.style) or path.read_text(encoding="utf-8"))
+    return tomllib.loads((road and road.style) or path.read_text(encoding="utf-8"))
 
 
 def _fixed(values: Mapping[str, Any]) -> dict[str, Any]:

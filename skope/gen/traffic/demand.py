@@ -172,8 +172,8 @@ def ways(network: Path) -> list[tuple[tuple[str, ...], float]]:
     net = sumolib.net.readNet(str(network))
     edges = [edge for edge in net.getEdges() if edge.allows("passenger")]
     # Turning back can be allowed at the end of a road.
-    ways_in = [e for e in edges if all(other.getFromNode() is e.getToNode() for other in e.getIncoming())]
-    ways_out = [e for e in edges if all(other.getToNode() is e.getFromNode() for other in e.getOutgoing())]
+    ways_in = [e for e in edges if all(incoming.getFromNode() is e.getToNode() for incoming in e.getIncoming())]
+    ways_out = [e for e in edges if all(outgoing.getToNode() is e.getFromNode() for outgoing in e.getOutgoing())]
     out = []
     for start in ways_in:
         for end in ways_out:
@@ -203,8 +203,10 @@ def write_types(path: Path, models: Mapping[str, FleetEntry], riders: Riding = U
             attributes = manner | _type_attributes(entry.vehicle)
             ElementTree.SubElement(root, "vType", {"id": f"{name}.{driver}", **attributes})
         for rider, vehicle_class in RIDER_CLASSES.items():
-            own = {**manner, **(_NARROW_TYPES[rider] if riders.narrow else {})}
-            ElementTree.SubElement(root, "vType", {"id": f"{rider}.{driver}", **own, "vClass": vehicle_class})
+            rider_attributes = {**manner, **(_NARROW_TYPES[rider] if riders.narrow else {})}
+            ElementTree.SubElement(
+                root, "vType", {"id": f"{rider}.{driver}", **rider_attributes, "vClass": vehicle_class}
+            )
     ElementTree.ElementTree(root).write(path, encoding="utf-8")
 
 

@@ -88,9 +88,11 @@ def scheduled(
     does.
     """
     flows = streams(text, network)
-    first, last = min(one.begin for one in flows), max(max(one.begin, one.end) for one in flows)
+    first, last = min(flow.begin for flow in flows), max(max(flow.begin, flow.end) for flow in flows)
     start = first + float(rng.uniform(0, max(last - first - duration, 0.0)))
-    planned = sorted((time, k) for k, one in enumerate(flows) for time in one.departures(start, start + duration, rng))
+    planned = sorted(
+        (time, k) for k, flow in enumerate(flows) for time in flow.departures(start, start + duration, rng)
+    )
     for i, (time, k) in enumerate(planned):
         model = _model(flows[k].vehicle_class, models, rng)
         color = draw_paint(models[model].vehicle, rng) if model in models else "black"
@@ -115,7 +117,7 @@ def streams(text: str, network: Path) -> tuple[_Flow, ...]:
     except ElementTree.ParseError as error:
         raise UserError(f"not XML: {error}") from None
     ways = _Ways(root, network)
-    classes = {one.get("id"): one.get("vClass", "passenger") for one in root.iter("vType")}
+    classes = {vehicle_type.get("id"): vehicle_type.get("vClass", "passenger") for vehicle_type in root.iter("vType")}
     out = []
     for element in root:
         if element.tag in ("vehicle", "trip", "flow"):

@@ -153,29 +153,29 @@ class Snapshot:
     """SUMO state string of each signal program."""
 
 
-_Place = tuple[float, float, float]
+_Point = tuple[float, float, float]
 
 
 class _RoadBehind:
     """Road behind a vehicle: the positions (x, y, z) of its front bumper in metres, by travelled distance."""
 
-    def __init__(self, begun: float, place: _Place, yaw: float, slope: float) -> None:
-        """Start with the vehicle at `place`; `begun` is the distance that it has travelled in SUMO, metres.
+    def __init__(self, begun: float, position: _Point, yaw: float, slope: float) -> None:
+        """Start with the vehicle at `position`; `begun` is the distance that it has travelled in SUMO, metres.
 
         The road behind that point is assumed to be straight, with the heading `yaw` and the slope `slope`, radians.
         """
         self.begun = begun
-        x, y, z = place
+        x, y, z = position
         level = SUMO_STEPS.road_behind_m * math.cos(slope)
         behind = (x - level * math.cos(yaw), y - level * math.sin(yaw), z - SUMO_STEPS.road_behind_m * math.sin(slope))
         self._driven = [-SUMO_STEPS.road_behind_m, 0.0]
-        self._places = [behind, place]
+        self._places = [behind, position]
 
-    def add(self, driven: float, place: _Place) -> None:
+    def add(self, driven: float, position: _Point) -> None:
         """Add the bumper's position after `driven` metres, and drop positions that are too far back."""
         if driven - self._driven[-1] >= SUMO_STEPS.road_behind_step_m:
             self._driven.append(driven)
-            self._places.append(place)
+            self._places.append(position)
             if driven - self._driven[0] > 2 * SUMO_STEPS.road_behind_m:
                 first = next(i for i, at in enumerate(self._driven) if at > driven - SUMO_STEPS.road_behind_m) - 1
                 del self._driven[:first], self._places[:first]
@@ -190,7 +190,7 @@ class _RoadBehind:
         (_, _, az), (_, _, bz), share = self._around(driven)
         return az + (bz - az) * share
 
-    def _around(self, driven: float) -> tuple[_Place, _Place, float]:
+    def _around(self, driven: float) -> tuple[_Point, _Point, float]:
         """Return the stored positions before and after `driven` metres, and the interpolation weight of the second."""
         known = self._driven
         after = bisect(known, driven)
@@ -316,13 +316,13 @@ class Traffic:
     def _road_behind(self, name: str) -> tuple[_RoadBehind, float]:
         """Return the road behind a vehicle, including its present position, and the distance travelled, metres."""
         vehicle = self._sumo.vehicle
-        driven, place = vehicle.getDistance(name), vehicle.getPosition3D(name)
+        driven, position = vehicle.getDistance(name), vehicle.getPosition3D(name)
         road = self._roads_behind.get(name)
         if road is None:
             slope, yaw = math.radians(vehicle.getSlope(name)), math.radians(90.0 - vehicle.getAngle(name))
-            road = self._roads_behind[name] = _RoadBehind(driven, place, yaw, slope)
+            road = self._roads_behind[name] = _RoadBehind(driven, position, yaw, slope)
         driven -= road.begun
-        road.add(driven, place)
+        road.add(driven, position)
         chassis = self._chassis.get(self.trips[name].model)
         if chassis and chassis.hitch:
             self._draw_trailer(name, chassis, chassis.hitch, driven)
@@ -330,11 +330,11 @@ class Traffic:
 
     def _draw_trailer(self, name: str, chassis: Chassis, hitch: Hitch, driven: float) -> None:
         """Move a vehicle's trailer; it follows from the edge of the network on, so its pose is plausible."""
-        place = self._roads_behind[name].at(driven - chassis.front_axle - chassis.wheelbase + hitch.hinge)
+        position = self._roads_behind[name].at(driven - chassis.front_axle - chassis.wheelbase + hitch.hinge)
         yaw = math.radians(90.0 - self._sumo.vehicle.getAngle(name))
         if name not in self._trailers:
-            self._trailers[name] = Follower(hitch, *place, yaw)
-        self._trailers[name].follow(*place, yaw)
+            self._trailers[name] = Follower(hitch, *position, yaw)
+        self._trailers[name].follow(*position, yaw)
 
     def steps(self, count: int) -> Iterator[Snapshot]:
         """Run a number of steps and report each; see `step`."""

@@ -208,7 +208,7 @@ class CarBody:
         free += list(np.linspace(s.rear_axle_x + 2.4 * reach, s.front_axle_x - 2.2 * reach, 3))
         chosen = list(fixed)
         for x in free:
-            if ends[1] + 0.05 < x < ends[0] - 0.05 and min(abs(x - other) for other in chosen) > 0.05:
+            if ends[1] + 0.05 < x < ends[0] - 0.05 and min(abs(x - station) for station in chosen) > 0.05:
                 chosen.append(x)
         shares = (np.array(sorted(chosen, reverse=True)) - ends[0]) / (ends[1] - ends[0])
         return np.concatenate([[0.0], shares[(shares > 0.01) & (shares < 0.99)], [1.0]])

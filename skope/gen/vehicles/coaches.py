@@ -373,9 +373,9 @@ class SchoolBusBody(LaidOutBus):
     layout = SCHOOL_BUS
 
     def __init__(self, shape: Shape, style: VehicleStyle) -> None:
-        own = replace(shape, width=shape.width * style.cab_width, height=shape.belt_height + 0.9)
-        own = replace(own, deck_length=shape.length - shape.cab_length)
-        self._car = CarBody(own, replace(style, family="car", bed=True, palette="freight"))
+        cab_shape = replace(shape, width=shape.width * style.cab_width, height=shape.belt_height + 0.9)
+        cab_shape = replace(cab_shape, deck_length=shape.length - shape.cab_length)
+        self._car = CarBody(cab_shape, replace(style, family="car", bed=True, palette="freight"))
         super().__init__(shape, style)
 
     def _nose(self) -> float:

@@ -77,8 +77,8 @@ class ParametricVehicle(Derived):
 
         def build() -> Arrays:
             body: CarBody | TruckBody | BusBody = BODY_KINDS[self.style.family](self.shape, self.style)
-            own = body.mesh.to_arrays("mesh") | body.interior.to_arrays("interior") | body.points
-            return {**own, **self._trailer_arrays()} if self.style.trailer else own
+            arrays = body.mesh.to_arrays("mesh") | body.interior.to_arrays("interior") | body.points
+            return {**arrays, **self._trailer_arrays()} if self.style.trailer else arrays
 
         return self._cached("vehicle", build)
 
@@ -242,10 +242,10 @@ def parametric(model: str) -> ParametricVehicle:
 def _build_parametric(model: str, shape: tuple[tuple[str, float], ...], recurs: bool) -> ParametricVehicle:
     base = parametric(model)
     try:
-        own = Shape(**dict(shape))
+        shape_of_model = Shape(**dict(shape))
     except TypeError as error:
         raise UserError(f"shape of {model}: {error}") from None
-    return replace(base, shape=own, style=styled(base.style, own), recurs=recurs)
+    return replace(base, shape=shape_of_model, style=styled(base.style, shape_of_model), recurs=recurs)
 
 
 def build_vehicle(model: str, shape: Mapping[str, float], *, recurs: bool = False) -> Vehicle:
@@ -303,9 +303,9 @@ def jittered(model: str, rng: np.random.Generator) -> Mapping[str, float]:
     for name in ("screen_run", "backlight_run", "roof_inset", "nose_round", "tail_round", "roof_droop", "nose_lean"):
         out[name] *= float(1 + 0.05 * np.clip(rng.standard_normal(), -2, 2))
     # A separate random stream: dimensions do not depend on the number of details.
-    own = rng.spawn(1)[0]
-    _jitter_lamps(out, vehicle.style.family, own)
-    return out | draw_details(vehicle.style, vehicle.vehicle_type, own)
+    details_rng = rng.spawn(1)[0]
+    _jitter_lamps(out, vehicle.style.family, details_rng)
+    return out | draw_details(vehicle.style, vehicle.vehicle_type, details_rng)
 
 
 def _jitter_lamps(shape: dict[str, float], family: str, rng: np.random.Generator) -> None:

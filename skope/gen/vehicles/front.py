@@ -206,7 +206,7 @@ def draw_front(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: 
     logo = shell.place((0.0, (low + high) / 2), WRAP_AXES)[0] * [1, 0, 1]
     # The plate is placed before anything is sunk, so that it is in front of the skin and not in an intake.
     hung = (
-        [parts.plate(*_plate_place(shell, plate, bent=style.soft_seams), 1.0, style.front_plate)]
+        [parts.plate(*_plate_position(shell, plate, bent=style.soft_seams), 1.0, style.front_plate)]
         if style.front_plate
         else []
     )
@@ -223,7 +223,7 @@ def _stepped(plate: float, steps: int, low: float, high: float) -> float:
     return moved if low <= moved <= high - parts.PART_SIZES.plate_m[1] else plate
 
 
-def _plate_place(shell: Surface, plate: float, *, bent: bool) -> tuple[float, float, float]:
+def _plate_position(shell: Surface, plate: float, *, bent: bool) -> tuple[float, float, float]:
     """Return the position of a number plate at a front: x of its lower edge, its height, and its backward lean.
 
     With `bent`, the front may project between the plate's edges.

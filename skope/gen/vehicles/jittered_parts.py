@@ -53,9 +53,9 @@ def _has_rear_panes(style: VehicleStyle, vehicle_type: str) -> bool:
     return style.family == "car" and style.glazed == 1 and style.doors == 4
 
 
-def _kinds(own: float, field: str, shares: Mapping[Any, float]) -> tuple[tuple[float, Mapping[str, Any]], ...]:
+def _kinds(model_share: float, field: str, shares: Mapping[Any, float]) -> tuple[tuple[float, Mapping[str, Any]], ...]:
     """Return the model's own part, and one option per value of a field."""
-    return (own, {}), *((share, {field: value}) for value, share in shares.items())
+    return (model_share, {}), *((share, {field: value}) for value, share in shares.items())
 
 
 ALL_DETAILS: Final[dict[str, Detail]] = {

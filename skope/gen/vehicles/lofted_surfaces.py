@@ -86,8 +86,8 @@ class Plan:
         end[1] = float(self._side_half_width(np.array([sign * end[0]]))[0])
         # Slightly fuller than the parabola through three points, close to a circular arc.
         curve = (1 - t) ** 2 * start + 2 * t * (1 - t) * bend + t**2 * end
-        both = np.concatenate([np.stack([x, y], axis=-1), curve])
-        return np.asarray(both * [sign, 1.0])
+        outline = np.concatenate([np.stack([x, y], axis=-1), curve])
+        return np.asarray(outline * [sign, 1.0])
 
 
 FRONT_END: Final = _FRONT_INTERVALS
@@ -124,11 +124,11 @@ class Surface:
         index = np.arange(count * columns).reshape(count, columns)
         a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
         triangles = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2).reshape(-1, 3)
-        place = np.stack(np.broadcast_arrays(along[None, :], np.array(levels)[:, None]), axis=-1)
-        self._set_up(points.reshape(-1, 3), place.reshape(-1, 2), triangles)
+        coordinates = np.stack(np.broadcast_arrays(along[None, :], np.array(levels)[:, None]), axis=-1)
+        self._set_up(points.reshape(-1, 3), coordinates.reshape(-1, 2), triangles)
         self._names = [material]
 
-    def _set_up(self, points: Array, place: Array, triangles: Indices) -> None:
+    def _set_up(self, points: Array, coordinates: Array, triangles: Indices) -> None:
         """Compute smooth normals, broken at creases and mirrored at the middle; drop triangles without area."""
         face = cross(
             points[triangles[:, 1]] - points[triangles[:, 0]], points[triangles[:, 2]] - points[triangles[:, 0]]
@@ -144,21 +144,21 @@ class Surface:
         group = same[corners][order]
         starts = np.flatnonzero(np.r_[True, group[1:] != group[:-1]])
         normals = np.empty((len(corners), 3))
-        above = place[triangles, 1].mean(axis=1)
-        broken = np.isin(place[:, 1], self._creases)
+        above = coordinates[triangles, 1].mean(axis=1)
+        broken = np.isin(coordinates[:, 1], self._creases)
         for start, stop in zip(starts, [*starts[1:], len(group)], strict=True):
             at = order[start:stop]
-            own = unit[owner[at]]
-            near = (own @ own.T) > CREASE_COS
+            unit_normals = unit[owner[at]]
+            near = (unit_normals @ unit_normals.T) > CREASE_COS
             if broken[corners[at[0]]]:
-                upper = above[owner[at]] > place[corners[at[0]], 1]
+                upper = above[owner[at]] > coordinates[corners[at[0]], 1]
                 near &= upper[:, None] == upper[None, :]
             total = near @ face[owner[at]]
             if points[corners[at[0]], 1] < 1e-9:
-                total[:, 1] = np.where(np.abs(own[:, 1]) < 0.6, 0.0, total[:, 1])
+                total[:, 1] = np.where(np.abs(unit_normals[:, 1]) < 0.6, 0.0, total[:, 1])
             normals[at] = total
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        rows = np.column_stack([points[corners], normals, place[corners]])
+        rows = np.column_stack([points[corners], normals, coordinates[corners]])
         index, first = numbered_rows(rows, 9)
         self._vertices = np.asarray(np.round(rows[first], 9), dtype=np.float64)
         self._set_triangles(index.reshape(-1, 3).astype(np.int64), np.zeros(len(triangles), dtype=np.int64))
@@ -369,9 +369,9 @@ class Surface:
         best = found[(found[:, :NX] * found[:, NX:W]).sum(axis=1).argmax()]
         return best[:NX], best[NX:W] / np.linalg.norm(best[NX:W])
 
-    def side(self, place: Array) -> float:
+    def side(self, position: Array) -> float:
         """Return y of the surface's outermost point at a position x, z."""
-        return float(self.place(place, SIDE_AXES)[0][1])
+        return float(self.place(position, SIDE_AXES)[0][1])
 
     def line(
         self,

@@ -109,13 +109,13 @@ def read_marked(
     points[list(keypoints.WHEELS)] = np.array([at[corners[corner]] for corner in WHEEL_CORNERS]) - origin
     mesh = merged([_colored_mesh(o, origin) for o in body])
     width = float(np.ptp(mesh.vertices[:, 1]))
-    own = wheel.vertices - at[wheel.name]
+    centered = wheel.vertices - at[wheel.name]
     return Marked(
         mesh=mesh,
         wheel=_colored_mesh(wheel, at[wheel.name]),
         points=points,
-        wheel_radius=float(np.ptp(own[:, 2]) / 2),
-        wheel_width=float(np.ptp(own[:, 1])),
+        wheel_radius=float(np.ptp(centered[:, 2]) / 2),
+        wheel_width=float(np.ptp(centered[:, 1])),
         size_lwh=(float(high[0] - low[0]), width, float(mesh.vertices[:, 2].max())),
     )
 
@@ -262,9 +262,9 @@ def _to_vehicle(path: Path, marks: dict[int, Array], wheels: Array, up: str | No
                 f"{path}: the markers' {name} is not along an axis of the file: align the model with the axes"
             )
         axes[name] = np.sign(direction[axis]) * np.eye(3)[axis]
-    for name, said in (("up", up), ("forward", forward)):
-        if said is not None and not np.array_equal(_parse_axis(f"--{name}", said), axes[name]):
-            raise UserError(f"{path}: --{name} {said}: the markers say {_axis_name(axes[name])}")
+    for name, given in (("up", up), ("forward", forward)):
+        if given is not None and not np.array_equal(_parse_axis(f"--{name}", given), axes[name]):
+            raise UserError(f"{path}: --{name} {given}: the markers say {_axis_name(axes[name])}")
     if not np.allclose(np.cross(axes["up"], axes["forward"]), axes["left"]):
         raise UserError(
             f"{path}: markers of left and right are swapped: seen from above, left is on the right of forward"
@@ -288,8 +288,8 @@ def _wheel_objects(path: Path, objects: list[_Object], wheels: Mapping[str, str]
     if wheels is not None:
         lost = [name for name in wheels.values() if name not in by_name]
         if lost or sorted(wheels) != sorted(WHEEL_CORNERS):
-            what = f"no object {lost[0]}" if lost else f"expected {', '.join(WHEEL_CORNERS)}"
-            raise UserError(f"{path}: --wheels: {what}; there are {', '.join(by_name)}")
+            problem = f"no object {lost[0]}" if lost else f"expected {', '.join(WHEEL_CORNERS)}"
+            raise UserError(f"{path}: --wheels: {problem}; there are {', '.join(by_name)}")
         return {name: by_name[name] for name in wheels.values()}
     found = {name: o for name, o in by_name.items() if re.search(r"wheel|tyre|tire", name.lower())}
     if len(found) < 4:

@@ -172,11 +172,11 @@ UNPAINTED_COLORS: Final = {"orange": (206, 94, 24), "gold": (170, 140, 84), "pur
 
 def color_name(vehicle: Vehicle, paint: str) -> str:
     """Return the colour of a vehicle in annotations: that of its paint, or of an unpainted added model."""
-    return _own_color(vehicle) if isinstance(vehicle, AddedVehicle) else ALL_PAINTS[paint].color
+    return _surface_color(vehicle) if isinstance(vehicle, AddedVehicle) else ALL_PAINTS[paint].color
 
 
 @cache
-def _own_color(vehicle: AddedVehicle) -> str:
+def _surface_color(vehicle: AddedVehicle) -> str:
     """Return the named colour nearest to the colour of most of a model's surface."""
     mesh = vehicle.mesh
     a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
@@ -187,8 +187,8 @@ def _own_color(vehicle: AddedVehicle) -> str:
     if not code.startswith("#"):
         return "other"
     named = {paint.color: paint.rgb for paint in reversed(ALL_PAINTS.values())} | UNPAINTED_COLORS
-    own, *others = _lab([tuple(bytes.fromhex(code[1:])), *named.values()])
-    away = np.linalg.norm(others - own, axis=1)
+    color, *named_colors = _lab([tuple(bytes.fromhex(code[1:])), *named.values()])
+    away = np.linalg.norm(named_colors - color, axis=1)
     return list(named)[int(away.argmin())] if away.min() < PAINT_COLORS.named_distance else "other"
 
 

@@ -241,7 +241,7 @@ def arch_lip(
     outward[:, 2] = np.maximum(outward[:, 2], 0)
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
     outer = chain + width * outward
-    outer[:, 1] = [side(place) - 0.004 for place in outer[:, [0, 2]]]
+    outer[:, 1] = [side(point) - 0.004 for point in outer[:, [0, 2]]]
     crest = chain + 0.012 * outward + [0, 0.012, 0]
     # Chords of the arch: slightly nearer to the wheel than the edge that they hide.
     inner = chain - 0.005 * outward + [0, -0.05, 0]

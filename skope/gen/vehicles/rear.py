@@ -181,8 +181,8 @@ def draw_rear(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: P
         out.append(parts.plate(-s.length / 2 - 0.002, plate_height(low), 0.0, -1.0, style.rear_plate))
     else:
         _draw_plate(shell, end, plate, style.rear_plate)
-        place = shell.place((end, badge + 0.215), WRAP_AXES)[0] * [1, 0, 1]
-        out.append(parts.badge(place, 0.04 * style.badge_size, -1.0, style.badge))
+        position = shell.place((end, badge + 0.215), WRAP_AXES)[0] * [1, 0, 1]
+        out.append(parts.badge(position, 0.04 * style.badge_size, -1.0, style.badge))
     if style.family != "car" or style.taillight != "pillar":
         draw_taillight(shell, style.taillight, (outer, inner), (low, high), points)
     if style.family != "car":

@@ -23,7 +23,7 @@ class TrailerSizes:
     """Depth of a trailer's frame under its floor, metres."""
     neck_m: float = 0.13
     """Depth of a semi-trailer's frame above the tractor, metres."""
-    legs_m: float = 2.5
+    landing_gear_m: float = 2.5
     """Distance of a semi-trailer's landing gear behind the kingpin, metres."""
     strap_m: float = 0.62
     """Distance between a curtain's straps, metres."""
@@ -71,8 +71,8 @@ class TrailerBody:
         self._bus: BusBody | None = None
         if style.trailer == "bus":
             overhang = length / 2 + self._offset + shape.trailer_axle
-            own = replace(self.shape, front_overhang=overhang, wheelbase=0.0, hinge_gap=-shape.trailer_front)
-            self._bus = BusBody(own, style, rear_half=True)
+            bus_shape = replace(self.shape, front_overhang=overhang, wheelbase=0.0, hinge_gap=-shape.trailer_front)
+            self._bus = BusBody(bus_shape, style, rear_half=True)
             self._points = self._bus.points
             return
         self._build_frame()
@@ -113,11 +113,11 @@ class TrailerBody:
             self._parts += _drawbar(front, hinge, s.hinge_height)
             guard = front - 0.1
         else:
-            legs = hinge - TRAILER_SIZES.legs_m
-            add(box((end + 0.06, 0.0, floor - TRAILER_SIZES.frame_depth_m), (legs - 0.3, 0.45, floor + 0.01), "under"))
-            add(box((legs - 0.32, 0.0, floor - TRAILER_SIZES.neck_m), (front - 0.12, 0.5, floor + 0.01), "under"))
-            self._parts += _landing_legs(legs, floor)
-            guard = legs - 0.35
+            gear = hinge - TRAILER_SIZES.landing_gear_m
+            add(box((end + 0.06, 0.0, floor - TRAILER_SIZES.frame_depth_m), (gear - 0.3, 0.45, floor + 0.01), "under"))
+            add(box((gear - 0.32, 0.0, floor - TRAILER_SIZES.neck_m), (front - 0.12, 0.5, floor + 0.01), "under"))
+            self._parts += _landing_gear(gear, floor)
+            guard = gear - 0.35
         if self.style.trailer != "container":
             self._parts += side_guard(s, guard, ahead, side)
         self._parts += underrun_bar(s, self.style, self._points)
@@ -204,7 +204,7 @@ def _cooling_unit(front: float, low: float, high: float) -> list[Mesh]:
     ]
 
 
-def _landing_legs(x: float, floor: float) -> list[Mesh]:
+def _landing_gear(x: float, floor: float) -> list[Mesh]:
     """Return the left landing gear of a semi-trailer, raised, and its brace."""
     return [
         box((x - 0.08, 0.72, 0.52), (x + 0.08, 0.88, floor), "under"),

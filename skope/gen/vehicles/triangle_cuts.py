@@ -220,8 +220,8 @@ def _split_edges(
         if not len(at):
             continue
         # Rotated so that the first edge is the split one, or the last edge the one that is not split.
-        own = hit[at]
-        start = {1: own.argmax(axis=1), 2: (~own).argmax(axis=1) + 1, 3: 0 * at}[splits]
+        is_split = hit[at]
+        start = {1: is_split.argmax(axis=1), 2: (~is_split).argmax(axis=1) + 1, 3: 0 * at}[splits]
         turn = (start[:, None] + np.arange(3)) % 3
         corners = np.concatenate([triangles[at[:, None], turn], middle[at[:, None], turn]], axis=1)
         out.append(corners[:, parts].swapaxes(0, 1).reshape(-1, 3))

@@ -37,16 +37,16 @@ _FACE_KINDS: Final = ("", "slots", "mask", "shield", "ladder")
 """Kinds of faces; "" is one large grille."""
 
 
-def draw_face(cab: Surface, kind: str, place: tuple[float, float, float], s: Shape) -> None:
+def draw_face(cab: Surface, kind: str, extent: tuple[float, float, float], s: Shape) -> None:
     """Draw a face on a cab.
 
     Args:
         cab: The cab's shell.
         kind: One of `VehicleStyle.face`.
-        place: Half its width, its lower and its upper edge, metres.
+        extent: Half its width, its lower and its upper edge, metres.
         s: The vehicle's shape, which selects a face if the kind is "any".
     """
-    half, low, high = place
+    half, low, high = extent
     if kind == "any":
         kind = _FACE_KINDS[int(s.length * 1e4) % len(_FACE_KINDS)]
     tall = high - low
@@ -397,9 +397,9 @@ class ChassisCabBody(TruckBody):
 
     def _build_cab(self) -> None:
         s = self.shape
-        own = replace(
+        cab_shape = replace(
             s, width=s.width * self.style.cab_width, height=self.cab_height, deck_length=s.length - s.cab_length
         )
-        self._car = CarBody(own, replace(self.style, family="car", bed=True, palette="freight"))
+        self._car = CarBody(cab_shape, replace(self.style, family="car", bed=True, palette="freight"))
         self._parts.append(self._car.front_half())
-        self.points |= {name: place for name, place in self._car.points.items() if name not in _REAR_POINTS}
+        self.points |= {name: point for name, point in self._car.points.items() if name not in _REAR_POINTS}

@@ -68,9 +68,9 @@ class AddedVehicle(Derived):
 
 def models_folder() -> Path:
     """Return $SKOPE_VEHICLES, or skope's folder in the user's data."""
-    own = os.environ.get("SKOPE_VEHICLES")
-    if own:
-        return Path(own)
+    folder = os.environ.get("SKOPE_VEHICLES")
+    if folder:
+        return Path(folder)
     return Path(os.environ.get("XDG_DATA_HOME", Path.home() / ".local/share")) / "skope" / "vehicles"
 
 
@@ -192,8 +192,8 @@ def check_mass(field: str, kilograms: Any) -> float:
     return float(kilograms)
 
 
-def _read_dimensions(told: Mapping[str, Any]) -> Dimensions:
-    shape = dataclass_of(Dimensions, told, "shape")
+def _read_dimensions(values: Mapping[str, Any]) -> Dimensions:
+    shape = dataclass_of(Dimensions, values, "shape")
     for name, metres in shape.to_dict().items():
         check_number(f"shape.{name}", metres)
     return shape

@@ -53,7 +53,7 @@ def test_what_follows_from_a_light_goes_with_it_and_the_rest_of_a_site_file_stay
     own = replace(own, site=replace(own.site, weather="clear", time_of_day="noon", conditions=spans))
 
     def kept(**changes: Any) -> set[str]:
-        return set(asked("demo", own=own, frames=4, **changes).plans()[0].site.conditions)
+        return set(asked("demo", user_site=own, frames=4, **changes).plans()[0].site.conditions)
 
     assert kept() == set(spans)
     assert kept(weather=("fog",)) == {"sun_elevation_deg", "noise"}
@@ -122,7 +122,7 @@ def test_only_nights_chooses_how_large_vehicles_are() -> None:
 def test_a_photograph_has_one_light() -> None:
     own = own_site("--site", str(EXAMPLE / "site.toml"))
     with pytest.raises(UserError, match=r"--time-of-day: .*site\.toml has a photograph"):
-        asked("demo", own=own, frames=4, time_of_day=("night",))
+        asked("demo", user_site=own, frames=4, time_of_day=("night",))
 
 
 def test_a_site_is_a_name_or_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -167,14 +167,14 @@ def test_recordings_of_an_own_road_fit_its_file() -> None:
     own = own_site("--site", str(EXAMPLE / "drawn.toml"))
     assert own is not None
     named = replace(own, splits=("train", "test"))
-    assert [plan.site.split for plan in asked(own=replace(own, splits=()), recordings=3).plans()] == [
+    assert [plan.site.split for plan in asked(user_site=replace(own, splits=()), recordings=3).plans()] == [
         "train",
         "train",
         "test",
     ]
-    assert len(asked(own=named, recordings=2).plans()) == 2
+    assert len(asked(user_site=named, recordings=2).plans()) == 2
     with pytest.raises(UserError, match=r"^--recordings: expected 2, as \S+ has that number of splits, got \d+$"):
-        asked(own=named, recordings=3)
+        asked(user_site=named, recordings=3)
     with pytest.raises(UserError, match="--recordings: expected a whole number from 1, got 0"):
         asked(recordings=0)
 

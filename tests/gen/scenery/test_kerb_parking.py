@@ -17,7 +17,7 @@ CAR = (4.6, 1.85)
 
 def car(graph: RoadGraph, bay: Bay) -> Polygon:
     """The ground under a car in a bay, in the graph's places."""
-    corners = shapely.get_coordinates(rectangle_polygon(np.array(bay.place), bay.heading, *CAR))
+    corners = shapely.get_coordinates(rectangle_polygon(np.array(bay.position), bay.heading, *CAR))
     return Polygon(graph.world(corners))
 
 

@@ -150,7 +150,7 @@ def test_parked_vehicles_stand_in_their_bays_all_the_time() -> None:
         for vehicle, T in zip(moment.vehicles, moment.T_world_chassis, strict=True):
             if vehicle.parked:
                 poses.setdefault(vehicle.track_id, []).append(T)
-    bays = np.array([bay.place for bay in scenery(Town("town06")).bays])
+    bays = np.array([bay.position for bay in scenery(Town("town06")).bays])
     assert 5 <= len(poses) <= 30
     for stays in poses.values():
         assert len(stays) == len(recording)

@@ -102,8 +102,8 @@ def light_in_photograph(device: Device, recording: Recording, daylight: Daylight
     light = light_of(device, recording.photograph)
     share = daylight.sun * daylight.sun_direction[2] / daylight.ground_irradiance
     sun = share * (1 - _shadow_mask(recording.town.road, recording.camera))[..., None]
-    one = np.ones((*light.shape[:2], 1))
-    parts = (np.concatenate([light * share, one], axis=-1) for share in (1 - sun, sun))
+    alpha = np.ones((*light.shape[:2], 1))
+    parts = (np.concatenate([light * share, alpha], axis=-1) for share in (1 - sun, sun))
     ambient, sunlit = (device.texture(part, "f2") for part in parts)
     return ambient, sunlit
 
@@ -161,7 +161,7 @@ def _road_pixels(road: OwnRoad) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     places = intersect_ground(camera, np.stack([columns, rows], axis=-1) + 0.5, graph.road_level(eye[:2]))[:, :2]
     near = np.linalg.norm(places - eye[:2], axis=1) < BACKGROUND_SAMPLING.measured_within_m
     on_road = near & shapely.contains_xy(graph.ground_road, graph.world(np.nan_to_num(places)))
-    outlines = [*(one.polygon for one in road.occluders), *road.shades]
+    outlines = [*(occluder.polygon for occluder in road.occluders), *road.shades]
     hidden = shapely.unary_union([shapely.Polygon(outline).buffer(0) for outline in outlines])
     sunny = on_road & ~shapely.contains_xy(hidden, columns + 0.5, rows + 0.5)
     chosen = sunny if sunny.any() else on_road

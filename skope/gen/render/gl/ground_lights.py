@@ -78,7 +78,7 @@ class StreetLights:
     """(N, 3) positions relative to the camera, metres; those nearest to the middle of the view first."""
     intensity: Array
     """(3,) radiant intensity of each lamp, red, green and blue."""
-    own: float
+    camera_lamp: float
     """Radiant intensity of the camera's own infrared lamp."""
     middle: Array
     """(3,) middle of the light map, relative to the camera, metres."""
@@ -114,7 +114,7 @@ class StreetLights:
             "u_lamp_count": len(self.positions),
             "u_lamp_map_from": maps,
             "u_shadowed": self.shadowed,
-            "u_own_lamp": self.own,
+            "u_own_lamp": self.camera_lamp,
         }
 
     @property
@@ -160,8 +160,8 @@ class StreetLights:
             GROUND_LIGHTS.lamp_map_px // 2 - half : GROUND_LIGHTS.lamp_map_px // 2 + half,
             2,
         ].astype(np.float64)
-        own = self.own * 0.35 / 14.0**2 * np.ones(3)
-        return np.asarray(self.intensity * upward.mean() + own)
+        camera_light = self.camera_lamp * 0.35 / 14.0**2 * np.ones(3)
+        return np.asarray(self.intensity * upward.mean() + camera_light)
 
 
 def pool_uniforms(pools: Array, camera: Camera, middle: Array) -> dict[str, Any]:
@@ -212,7 +212,11 @@ class Beams:
         Return polygons in the image around the road that they may light.
         """
         device = self._device
-        lit = [one for one in placed if one.look["u_lamps"] & LAMP_BITS["low_beam"] and has_headlights(one.vehicle)]
+        lit = [
+            vehicle
+            for vehicle in placed
+            if vehicle.look["u_lamps"] & LAMP_BITS["low_beam"] and has_headlights(vehicle.vehicle)
+        ]
         self._target.use()
         self._target.clear(0, 0, 0, 0)
         if not lit:
@@ -223,26 +227,26 @@ class Beams:
         # A trailer hides its tractor's rear lamps.
         for reach, some, options in (
             (GROUND_LIGHTS.beam_reach_m, lit, ()),
-            (-GROUND_LIGHTS.wash_reach_m, [one for one in lit if one.vehicle.trailer is None], ("WASH",)),
+            (-GROUND_LIGHTS.wash_reach_m, [vehicle for vehicle in lit if vehicle.vehicle.trailer is None], ("WASH",)),
         ):
             program = device.program("contact.vert.glsl", "beam.frag.glsl", *options)
             if some:
-                corners = np.concatenate([self._beam_triangles(one, reach) for one in some])
+                corners = np.concatenate([self._beam_triangles(vehicle, reach) for vehicle in some])
                 device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
-            hulls += [beam_hull_of(one.vehicle, one.T_world_chassis, camera, reach) for one in some]
+            hulls += [beam_hull_of(vehicle.vehicle, vehicle.T_world_chassis, camera, reach) for vehicle in some]
         return hulls
 
-    def _beam_triangles(self, one: PlacedVehicle, reach: float) -> NDArray[np.float32]:
+    def _beam_triangles(self, vehicle: PlacedVehicle, reach: float) -> NDArray[np.float32]:
         """Return the corners (6, 7) of two triangles around the road that a vehicle lights.
 
         Columns: position in the map (2), position ahead of the bumper (2), reach of the light, half its width, its
         height. A negative `reach` selects the road behind the vehicle; the column of the reach then holds the strength
         of the lamps.
         """
-        length, width, height = one.vehicle.size_lwh
+        length, width, height = vehicle.vehicle.size_lwh
         local = beam_corners(reach)[[0, 1, 2, 0, 2, 3]]
-        T = one.T_world_chassis
+        T = vehicle.T_world_chassis
         world = (local + [np.copysign(length / 2, reach), 0]) @ T[:2, :2].T + T[:2, 3]
-        strength = GROUND_LIGHTS.brake_factor if one.look["u_lamps"] & LAMP_BITS["brake"] else 1.0
+        strength = GROUND_LIGHTS.brake_factor if vehicle.look["u_lamps"] & LAMP_BITS["brake"] else 1.0
         size = np.tile([reach if reach > 0 else strength, width / 2, height], (6, 1))
         return np.column_stack([(world - self._middle[:2]) / self._radius, local, size]).astype(np.float32)

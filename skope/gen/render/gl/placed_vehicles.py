@@ -178,16 +178,18 @@ def moving(
         after: The shutter closes this far before the labelled moment; negative: after it.
     """
     out = []
-    for one in placed:
-        T, (length, _, height) = one.T_world_chassis, straight_lwh(one.vehicle)
+    for vehicle in placed:
+        T, (length, _, height) = vehicle.T_world_chassis, straight_lwh(vehicle.vehicle)
         middle = T[:3, 3] + 0.5 * height * T[:3, 2]
-        step = 0.5 * shutter_s * velocity[one.index]
+        step = 0.5 * shutter_s * velocity[vehicle.index]
         pixels, depth, valid = camera.project(np.stack([middle - step, middle + step]))
         way = pixels[1] - pixels[0]
         if valid.all() and depth.min() > length and way @ way > LEAST_BLUR_PX**2:
-            swept = cv2.convexHull(np.concatenate([one.hull - before * way, one.hull - after * way]).astype(np.float32))
+            swept = cv2.convexHull(
+                np.concatenate([vehicle.hull - before * way, vehicle.hull - after * way]).astype(np.float32)
+            )
             # The end of a trailer is a whole length from the vehicle's position; other vehicles extend by half their
             # length.
-            reach = (0.6 if one.vehicle.trailer is None else 1.0) * length
-            out.append(Moving(one, way, float(depth.min()) - reach, swept[:, 0].astype(np.float64)))
+            reach = (0.6 if vehicle.vehicle.trailer is None else 1.0) * length
+            out.append(Moving(vehicle, way, float(depth.min()) - reach, swept[:, 0].astype(np.float64)))
     return out

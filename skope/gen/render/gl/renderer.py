@@ -182,9 +182,9 @@ class GLRenderer:
                 picture = np.asarray(cv2.cvtColor(drawn.picture.pixels, cv2.COLOR_RGBA2RGB), dtype=np.uint8)
             cv2.copyTo(picture, mask, rgb[y0:y1, x0:x1])
             for vehicle, layer in zip(placed, drawn.layers, strict=True):
-                own = _put_vehicle(layer, vehicle.number, depth, slope, ids)
+                visible = _put_vehicle(layer, vehicle.number, depth, slope, ids)
                 silhouettes[vehicle.index] = Silhouette(*vehicle.window[:2], drawn.masks[vehicle.index])
-                contrast[vehicle.index] = self._contrast(vehicle, own, rgb, drawn)
+                contrast[vehicle.index] = self._contrast(vehicle, visible, rgb, drawn)
         signals = scenery(self._recording.town).signals
         if night and light is not None:
             light_signals_linear(light, depth, camera, moment, signals, RENDERER_LIMITS.signal_light / night.gain)
@@ -271,7 +271,7 @@ class GLRenderer:
         self._draw_shadows(placed)
         if self._beams:
             shaded |= tiles(self._beams.draw(placed, camera), size)
-        swept = [tiles([one.hull], size) for one in blurred]
+        swept = [tiles([vehicle.hull], size) for vehicle in blurred]
         for places in swept:
             covered |= places
         self._draw_vehicles(self._color, placed, tile_runs(covered, size))
@@ -280,17 +280,17 @@ class GLRenderer:
             units = self._vehicle_textures()
             uniforms = {**self._background.bind(), **self._uniforms, **self._bind_textures(units)}
             mirrored = self._reflections.draw(placed, uniforms, {**self._background.textures, **units})
-        for there, more in ((~mirrored, ()), (mirrored, ("REFLECTIONS",))):
-            self._compose_picture(tile_runs((shaded | mirrored) & ~covered & there, size), "SHADOWS", *more)
-            self._compose_picture(tile_runs(covered & there, size), "SHADOWS", "VEHICLES", *more)
+        for area, more in ((~mirrored, ()), (mirrored, ("REFLECTIONS",))):
+            self._compose_picture(tile_runs((shaded | mirrored) & ~covered & area, size), "SHADOWS", *more)
+            self._compose_picture(tile_runs(covered & area, size), "SHADOWS", "VEHICLES", *more)
         more = ("REFLECTIONS",) if self._reflections else ()
-        for one, places in zip(blurred, swept, strict=True):
+        for vehicle, places in zip(blurred, swept, strict=True):
             way = {
-                "u_way": one.way,
+                "u_way": vehicle.way,
                 "u_open_during": open_during,
-                "u_id": float(one.vehicle.number),
-                "u_nearest": one.nearest,
-                "u_pulses": self._pulses(one.vehicle.look["u_plate"]),
+                "u_id": float(vehicle.vehicle.number),
+                "u_nearest": vehicle.nearest,
+                "u_pulses": self._pulses(vehicle.vehicle.look["u_plate"]),
             }
             self._compose_picture(tile_runs(places, size), "SHADOWS", "VEHICLES", "BLUR", *more, uniforms=way)
         return covered | shaded | mirrored
@@ -322,8 +322,8 @@ class GLRenderer:
 
     def _vehicle_textures(self) -> dict[str, Any]:
         """Return the textures that vehicles' programs sample in addition to the background: shadows and lamp light."""
-        own = {"u_vehicle_sun_map": self._sun_map.depth_attachment}
-        return own | ({"u_beams": self._beams.texture} if self._beams else {})
+        textures = {"u_vehicle_sun_map": self._sun_map.depth_attachment}
+        return textures | ({"u_beams": self._beams.texture} if self._beams else {})
 
     def _draw_vehicles(
         self, target: Any, placed: Sequence[PlacedVehicle], places: Sequence[Window], *, peel: bool = False
@@ -430,24 +430,24 @@ class GLRenderer:
         self._draw_vehicles(self._behind, crowd, tile_runs(tiles([v.hull for v in crowd], size), size), peel=True)
 
     def _contrast(
-        self, placed: PlacedVehicle, own: NDArray[np.bool_], rgb: NDArray[np.uint8], drawn: "_Drawn"
+        self, placed: PlacedVehicle, visible: NDArray[np.bool_], rgb: NDArray[np.uint8], drawn: "_Drawn"
     ) -> float:
         """Return the mean difference over a vehicle's visible pixels to the image without it and its shadow."""
         window = x0, y0, x1, y1 = inside_image(placed.window, self._camera)
         picture: NDArray[Any] = self._plain[y0:y1, x0:x1]
         if drawn.behind and placed in drawn.crowd:
             behind = drawn.behind.crop(window)
-            there: NDArray[Any] = behind[..., 3]
+            drawn_behind: NDArray[Any] = behind[..., 3]
             if self._night:
-                full = np.full_like(there, RENDERER_LIMITS.unclipped_light)
+                full = np.full_like(drawn_behind, RENDERER_LIMITS.unclipped_light)
                 behind = self._night.without_glare(np.dstack([behind[..., :3], full]))
-                there = (there > 0).astype(np.uint8)
-            picture = cv2.copyTo(np.ascontiguousarray(behind[..., :3]), there, picture.copy())
+                drawn_behind = (drawn_behind > 0).astype(np.uint8)
+            picture = cv2.copyTo(np.ascontiguousarray(behind[..., :3]), drawn_behind, picture.copy())
         shown = rgb[y0:y1, x0:x1]
         if self._night:
             # A body is visible by its own contrast; lamps alone do not count.
-            own = own & (shown.min(axis=-1) < RENDERER_LIMITS.burnt_out)
-        difference = cv2.mean(cv2.absdiff(shown, picture), own.view(np.uint8))
+            visible = visible & (shown.min(axis=-1) < RENDERER_LIMITS.burnt_out)
+        difference = cv2.mean(cv2.absdiff(shown, picture), visible.view(np.uint8))
         return sum(difference) / 3
 
 
@@ -491,20 +491,20 @@ def _put_vehicle(
     Return the mask of these pixels in its window.
     """
     x0, y0, x1, y1 = layer.window
-    there = slice(y0, y1), slice(x0, x1)
+    window = slice(y0, y1), slice(x0, x1)
     # OpenCV splits pixels and copies selected pixels much faster than numpy.
     z, right, down, shown = cv2.split(layer.pixels)
-    own = (shown == number) & (z < depth[there])
-    mask = own.view(np.uint8)
-    cv2.copyTo(z, mask, depth[there])
-    cv2.copyTo(cv2.merge([right, down]), mask, slope[there])
-    cv2.copyTo(np.full(own.shape, number, dtype=np.int32), mask, ids[there])
-    return np.asarray(own)
+    visible = (shown == number) & (z < depth[window])
+    mask = visible.view(np.uint8)
+    cv2.copyTo(z, mask, depth[window])
+    cv2.copyTo(cv2.merge([right, down]), mask, slope[window])
+    cv2.copyTo(np.full(visible.shape, number, dtype=np.int32), mask, ids[window])
+    return np.asarray(visible)
 
 
-def _crosses_another(vehicle: PlacedVehicle, others: Iterable[PlacedVehicle]) -> bool:
+def _crosses_another(vehicle: PlacedVehicle, vehicles: Iterable[PlacedVehicle]) -> bool:
     """Return whether a vehicle's window overlaps that of another vehicle."""
-    return any(crossing(vehicle.window, other.window) for other in others if other is not vehicle)
+    return any(crossing(vehicle.window, neighbour.window) for neighbour in vehicles if neighbour is not vehicle)
 
 
 def _footprint(placed: PlacedVehicle, middle: Array) -> Array:

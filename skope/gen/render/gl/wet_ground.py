@@ -117,8 +117,8 @@ class Reflections:
         """
         device, camera = self._device, self._camera
         size = (camera.width, camera.height)
-        near = [one for one in placed if one.distance < WET_GROUND.mirrored_within_m]
-        hulls = [mirror_hull_of(one.vehicle, one.T_world_parts, camera, self._road.mirror) for one in near]
+        near = [vehicle for vehicle in placed if vehicle.distance < WET_GROUND.mirrored_within_m]
+        hulls = [mirror_hull_of(vehicle.vehicle, vehicle.T_world_parts, camera, self._road.mirror) for vehicle in near]
         reach = -(-round(WET_GROUND.blur_px * size[0] / 1920) // WINDOW_LIMITS.tile_px)
         around = cv2.dilate(tiles(hulls, size).astype(np.uint8), np.ones((2 * reach + 1, 3), np.uint8)) > 0
         # The blur samples beyond these tiles too.
@@ -126,16 +126,16 @@ class Reflections:
         half = [(x0 // 2, y0 // 2, -(-x1 // 2), -(-y1 // 2)) for x0, y0, x1, y1 in tile_runs(around, size)]
         unit = len(units)
         self._scenery_depth.use(unit)
-        own = {**uniforms, "u_size": list(self._target.size), "u_scenery": unit}
-        device.prepare(self._target, half, own, "SCENERY", "STEP 1")
+        all_uniforms = {**uniforms, "u_size": list(self._target.size), "u_scenery": unit}
+        device.prepare(self._target, half, all_uniforms, "SCENERY", "STEP 1")
         device.context.enable_only(device.gl.DEPTH_TEST | device.gl.CULL_FACE)
         device.context.front_face = "ccw"
         program = device.program(
             "vehicle.vert.glsl", "vehicle.frag.glsl", PARTS_DEFINITION, "REFLECTION", *self._options
         )
         put(program, {**uniforms, **self._uniforms})
-        for one in near:
-            put(program, {**one.matrices, "u_model": one.matrices["u_world"], **one.look})
-            one.coarse.draw(program)
+        for vehicle in near:
+            put(program, {**vehicle.matrices, "u_model": vehicle.matrices["u_world"], **vehicle.look})
+            vehicle.coarse.draw(program)
         device.context.front_face = "cw"
         return np.asarray(around)
