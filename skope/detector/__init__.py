@@ -1,4 +1,4 @@
-"""Keypoint R-CNN: build, save, load, run; the weights that come with the package."""
+"""Keypoint R-CNN detector: build, save, load, run; and the weights that come with the package."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -7,7 +7,7 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> Any:
-    """Load `read_checkpoint` when it is first used: torch takes seconds, and `weights` does without."""
+    """Load `read_checkpoint` on first use, because torch takes seconds to import and `weights` does not need it."""
     if name != "read_checkpoint":
         raise AttributeError(f"module 'skope.detector' has no attribute {name!r}")
     from skope.detector.checkpoint import read_checkpoint

@@ -1,7 +1,7 @@
 """Backbones: torchvision's classifiers as feature extractors of a detector's pyramid.
 
-Each one has feature maps of strides 4, 8, 16 and 32; the pyramid adds one of stride 64. The ResNet50 pyramid equals
-that of torchvision's resnet_fpn_backbone in layers and in the order of random draws.
+Each has feature maps of strides 4, 8, 16 and 32; the pyramid adds one of stride 64. The ResNet50 pyramid equals that of
+torchvision's resnet_fpn_backbone in layers and in the order of random draws.
 
 A frozen norm is y = a x + b per channel with constant a and b. It can be folded into the convolution before it, with
 weights w: the folded convolution has weights a w and bias b.
@@ -29,10 +29,10 @@ from torchvision.models.detection.backbone_utils import BackboneWithFPN
 
 
 def convolutions_with_norms(model: KeypointRCNN) -> Iterator[tuple[nn.Module, str, str]]:
-    """The backbone's modules that own a convolution and its norm, with the names of both.
+    """Modules of a backbone that contain a convolution and its norm, with the names of both.
 
-    A ResNet's blocks call them conv1 and bn1, conv2 and bn2 ...; in its shortcuts, and in all of a MobileNet, they are
-    the first two of a sequence.
+    The blocks of a ResNet name them conv1 and bn1, conv2 and bn2, and so on. In its shortcuts, and everywhere in a
+    MobileNet, they are the first two modules of a sequence.
     """
     for module in model.backbone.body.modules():
         sequence = isinstance(module, nn.Sequential)
@@ -43,7 +43,7 @@ def convolutions_with_norms(model: KeypointRCNN) -> Iterator[tuple[nn.Module, st
 
 @torch.no_grad()
 def multiply_in(model: KeypointRCNN) -> None:
-    """Give up the norms of a model in evaluation mode for good: their factors and shifts become weights and biases."""
+    """Fold all norms of a model in evaluation mode permanently: factors and shifts become weights and biases."""
     for owner, convolution, norm in list(convolutions_with_norms(model)):
         layer: Any = owner.get_submodule(convolution)
         given_up: Any = owner.get_submodule(norm)
@@ -65,26 +65,26 @@ NormLayer = Callable[[int], nn.Module]
 
 @dataclass(frozen=True, kw_only=True)
 class Backbone:
-    """A classifier of torchvision's as the backbone of a detector."""
+    """Classifier of torchvision that serves as the backbone of a detector."""
 
     title: str
-    """Its name for people."""
+    """Name for messages."""
     make: Callable[..., Any]
-    """torchvision's function that makes the classifier; takes `weights` and `norm_layer`."""
+    """torchvision's function that builds the classifier; takes `weights` and `norm_layer`."""
     layers: str = ""
-    """Attribute of the classifier that has the layers; "": itself."""
+    """Attribute of the classifier that contains the layers; empty for the classifier itself."""
     stages: tuple[tuple[str, ...], ...]
-    """Names of the layers of strides 2, 4, 8, 16 and 32. The last layer of each stage but the first gives a map."""
+    """Names of the layers of strides 2, 4, 8, 16 and 32. The last layer of each stage except the first gives a map."""
     channels: tuple[int, int, int, int]
     """Channels of the four maps, finest first."""
     imagenet: WeightsEnum
     """Weights trained on ImageNet."""
     norm_eps: float
-    """Constant that normalisation adds to variances in these weights."""
+    """Constant that normalisation adds to the variances in these weights."""
 
     @property
     def returned(self) -> dict[str, str]:
-        """Layer -> name of the map that it gives, as `BackboneWithFPN` takes them."""
+        """Layer to the name of the map that it gives, as for `BackboneWithFPN`."""
         return {stage[-1]: str(number) for number, stage in enumerate(self.stages[1:])}
 
 
@@ -98,7 +98,7 @@ MOBILENET_STAGES: Final = (
 )
 
 DEFAULT_BACKBONE: Final = "resnet50"
-"""The paper's."""
+"""Backbone of the paper."""
 BACKBONE_CHOICES: Final[Mapping[str, Backbone]] = MappingProxyType(
     {
         DEFAULT_BACKBONE: Backbone(
@@ -131,16 +131,16 @@ BACKBONE_CHOICES: Final[Mapping[str, Backbone]] = MappingProxyType(
 
 
 def with_pyramid(name: str, width: int, *, norm_layer: NormLayer, trainable_stages: int) -> BackboneWithFPN:
-    """A backbone with a feature pyramid (FPN; Lin et al., 2017), with weights drawn from torch's random state.
+    """Build a backbone with a feature pyramid (FPN; Lin et al., 2017) and random weights from torch's random state.
 
     Args:
         name: One of `BACKBONE_CHOICES`.
-        width: Channels of each of the pyramid's five maps.
+        width: Number of channels of each of the pyramid's five maps.
         norm_layer: Normalisation of the backbone; the pyramid has none.
-        trainable_stages: Stages that learn, 0 to 5 from the last.
+        trainable_stages: Number of trainable stages, 0 to 5, counted from the last.
 
     Returns:
-        The module that takes (N, 3, H, W) images to maps `0` to `3` and `pool`, of strides 4 to 64.
+        Module that maps (N, 3, H, W) images to feature maps `0` to `3` and `pool`, of strides 4 to 64.
     """
     kind = BACKBONE_CHOICES[name]
     classifier = kind.make(weights=None, norm_layer=norm_layer)

@@ -1,7 +1,7 @@
-"""Keypoint R-CNN with 33 keypoints: torchvision's parts, built from a config.
+"""Keypoint R-CNN with 33 keypoints, built from torchvision's parts and a config.
 
-Boxes and keypoints are continuous pixel coordinates of the image that was passed in, as everywhere in skope.
-torchvision resizes the image before the network and scales the answers back by the same two factors.
+Boxes and keypoints are continuous pixel coordinates of the input image, as everywhere in skope. torchvision resizes the
+image before the network and scales the results back by the same two factors.
 """
 
 import functools
@@ -29,22 +29,21 @@ class NetworkDefaults:
     """Sizes of torchvision's Keypoint R-CNN, and limits of its detections."""
 
     anchors: tuple[int, ...] = (32, 64, 128, 256, 512)
-    """Sides of the anchors in torchvision's own model, pixels inside the network: one for each level of the
-    pyramid."""
+    """Sides of the anchors in torchvision's own model, pixels inside the network: one per level of the pyramid."""
     aspects: tuple[float, float, float] = (0.5, 1.0, 2.0)
-    """Heights of the anchors of a level over their widths, as in torchvision's own model."""
+    """Ratios of height to width of the anchors of a level, as in torchvision's own model."""
     max_detections: int = 300
-    """Maximum number of detections in one image, vehicles and other road users together. torchvision's own 100 is
-    too few for a queue at rush hour."""
+    """Maximum number of detections in an image, vehicles and other road users together. torchvision's default of 100 is
+    too low for a queue at rush hour."""
     proposals: int = 300
-    """Number of regions that the second stage examines. Of torchvision's own 1000 the others cost a third of the
-    time on a CPU and found no further vehicle (docs/evidence/speed.md)."""
+    """Number of regions that the second stage examines. The remaining regions of torchvision's default of 1000 take a
+    third of the time on a CPU and give no additional vehicle (docs/evidence/speed.md)."""
     pyramid_width: int = 256
-    """Channels of the pyramid of torchvision's own model."""
+    """Number of channels of the pyramid in torchvision's own model."""
     heads: tuple[int, int, int] = (8, 512, 1024)
-    """Number and width of the layers of torchvision's own keypoint head, and the width of its box head."""
+    """Number and width of the layers of torchvision's own keypoint head, and width of its box head."""
     box_cells: int = 7
-    """Cells along each side of a region in the box head, as in torchvision's own model."""
+    """Number of cells along each side of a region in the box head, as in torchvision's own model."""
 
 
 NETWORK_DEFAULTS: Final = NetworkDefaults()
@@ -55,21 +54,21 @@ SIZE_RANGES: Final[dict[str, tuple[int, int]]] = {
     "keypoint_width": (16, 1024),
     "box_width": (16, 4096),
 }
-"""Least and largest value of each field that says how large a part of the network is."""
+"""Minimum and maximum of each field that sets the size of a part of the network."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DetectorConfig:
-    """The configuration of a model, which its state dict does not tell."""
+    """Configuration of a model that its state dict does not contain."""
 
     norm: str
-    """`frozen` (FrozenBatchNorm2d, for weights that were trained before) or `batch` (BatchNorm2d, which learns)."""
+    """`frozen` (FrozenBatchNorm2d, for pretrained weights) or `batch` (trainable BatchNorm2d)."""
     norm_eps: float
     """Number that normalisation adds to each variance; 0 in the weights trained on COCO."""
     min_size: int
     """Short side of the image inside the network, pixels, unless its long side would then exceed `max_size`."""
     max_size: int
-    """Largest long side of the image inside the network, pixels."""
+    """Maximum long side of the image inside the network, pixels."""
     scheme: str = keypoints.SCHEME
     """Scheme of the keypoints: a name in `keypoints.SCHEMES`."""
     anchors: tuple[int, ...] = NETWORK_DEFAULTS.anchors
@@ -78,17 +77,17 @@ class DetectorConfig:
     """Names of the classes, from `schema.CATEGORY_NAMES`. Label k of the network is the k-th class, label 0 the
     background. Vehicles have label 1; only they have keypoints."""
     box_passes: int = 1
-    """Passes of the box head: 2 lets it correct each box once more, from the box itself."""
+    """Number of passes of the box head. With 2, it corrects each box once more, starting from the box itself."""
     backbone: str = DEFAULT_BACKBONE
-    """Network that makes the feature maps: a name in `skope.detector.backbones.BACKBONE_CHOICES`."""
+    """Network that computes the feature maps: a name in `skope.detector.backbones.BACKBONE_CHOICES`."""
     pyramid_width: int = NETWORK_DEFAULTS.pyramid_width
-    """Channels of the pyramid's maps, and of the proposals' head on them."""
+    """Number of channels of the pyramid's maps and of the proposals' head on them."""
     keypoint_layers: int = NETWORK_DEFAULTS.heads[0]
-    """Convolutions of the keypoint head, before its predictor."""
+    """Number of convolutions of the keypoint head before its predictor."""
     keypoint_width: int = NETWORK_DEFAULTS.heads[1]
-    """Channels of each of these convolutions."""
+    """Number of channels of each of these convolutions."""
     box_width: int = NETWORK_DEFAULTS.heads[2]
-    """Channels of both layers of the box head."""
+    """Number of channels of both layers of the box head."""
 
     def __post_init__(self) -> None:
         one_of("scheme", self.scheme, tuple(keypoints.SCHEMES))
@@ -101,23 +100,23 @@ class DetectorConfig:
             check_size(name, getattr(self, name))
         check_number("norm_eps", self.norm_eps, 0, 0.999)
         for name in ("min_size", "max_size"):
-            # Below 64 the backbone's last map may be a single cell, which has no variance to normalise by.
+            # Below 64, the last map of the backbone may be a single cell, which has no variance for the normalisation.
             check_whole(name, getattr(self, name), 64, 16384)
         if self.max_size < self.min_size:
             raise UserError(f"max_size: {self.max_size} is less than min_size, {self.min_size}")
 
     def with_min_size(self, min_size: int) -> Self:
-        """The config with another short side, pixels; the long side's limit changes in proportion."""
+        """Return the config with another short side, pixels; the limit of the long side changes in proportion."""
         return replace(self, min_size=min_size, max_size=round(min_size * self.max_size / self.min_size))
 
     @property
     def keypoint_scheme(self) -> keypoints.Scheme:
-        """The scheme of the keypoints."""
+        """Scheme of the keypoints."""
         return keypoints.SCHEMES[self.scheme]
 
     @property
     def heads(self) -> tuple[int, int, int]:
-        """Number and width of the keypoint head's layers, and the width of the box head's."""
+        """Number and width of the keypoint head's layers, and width of the box head's layers."""
         return self.keypoint_layers, self.keypoint_width, self.box_width
 
     @property
@@ -131,7 +130,7 @@ class DetectorConfig:
 
     @property
     def architecture(self) -> str:
-        """Backbone and widths in words; of widths only where they are not torchvision's."""
+        """Description of backbone and widths; widths are omitted if they are torchvision's."""
         words = f"{BACKBONE_CHOICES[self.backbone].title}-FPN"
         if self.pyramid_width != NETWORK_DEFAULTS.pyramid_width:
             words += f" of {self.pyramid_width} channels"
@@ -141,13 +140,13 @@ class DetectorConfig:
         return words
 
     def to_dict(self) -> dict[str, Any]:
-        """The config as JSON values, without those of `OPTIONAL_VALUES`."""
+        """Return the config as JSON values, without those equal to `OPTIONAL_VALUES`."""
         values = {name: value for name, value in asdict(self).items() if OPTIONAL_VALUES.get(name) != value}
         return values | self.keypoint_scheme.fields("scheme")
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """The config of `to_dict`; a UserError names a field that is missing, unknown or out of range."""
+        """Return the config from the result of `to_dict`; a UserError names the missing, unknown or invalid field."""
         if isinstance(values, Mapping):
             keypoints.scheme_in(values, "scheme")
             values = {name: value for name, value in values.items() if name != "keypoint_edition"}
@@ -163,11 +162,11 @@ OPTIONAL_VALUES: Final[dict[str, Any]] = {
     "keypoint_width": NETWORK_DEFAULTS.heads[1],
     "box_width": NETWORK_DEFAULTS.heads[2],
 }
-"""Values that a checkpoint may leave out: those of torchvision's own model, for vehicles alone."""
+"""Values that a checkpoint may omit: those of torchvision's own model for vehicles alone."""
 
 
 def check_anchors(anchors: Sequence[int]) -> None:
-    """Raise a UserError unless these are sides of anchors, one for each level of the pyramid, from small to large."""
+    """Raise a UserError unless the values are valid anchor sides, one per level of the pyramid, in ascending order."""
     whole = all(isinstance(side, int) and not isinstance(side, bool) and side >= 4 for side in anchors)
     if not whole or len(anchors) != len(NETWORK_DEFAULTS.anchors) or list(anchors) != sorted({*anchors}):
         raise UserError(
@@ -187,26 +186,26 @@ def check_size(name: str, value: object) -> None:
 
 
 class KeypointNetwork(KeypointRCNN):  # type: ignore[misc]  # torchvision has no types
-    """torchvision's Keypoint R-CNN, and how often its box head looks; what it is called by torchvision looks once."""
+    """torchvision's Keypoint R-CNN with a number of box head passes; torchvision's own `forward` makes one."""
 
     box_passes: int = 1
-    """As in `DetectorConfig`."""
+    """Number of passes, as in `DetectorConfig`."""
 
 
 def box_passes_of(model: KeypointRCNN) -> int:
-    """Number of passes of a model's box head; torchvision's own makes one."""
+    """Return the number of box head passes of a model; torchvision's own makes one."""
     return int(getattr(model, "box_passes", 1))
 
 
 def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: int = keypoints.K) -> KeypointNetwork:
-    """Keypoint R-CNN (He et al., 2017) for a config, with weights drawn from torch's random state.
+    """Build a Keypoint R-CNN (He et al., 2017) for a config, with random weights from torch's random state.
 
     Args:
         config: Backbone, widths, categories, normalisation, and size of the images inside the network.
         trainable_layers: Number of trainable backbone stages with frozen normalisation, 0 to 5, from the last one. With
             trainable normalisation all stages are trainable, as in torchvision.
-        num_keypoints: Number of keypoints. Values other than 33 are for weights with another scheme, the predictor of
-            which is replaced afterwards.
+        num_keypoints: Number of keypoints. Values other than 33 are for weights with another scheme; their predictor is
+            replaced afterwards.
     """
     norm = FrozenBatchNorm2d if config.norm == "frozen" else nn.BatchNorm2d
     backbone = with_pyramid(
@@ -231,7 +230,7 @@ def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: i
 
 
 def _heads(config: DetectorConfig, num_keypoints: int) -> dict[str, Any]:
-    """Arguments of torchvision's Keypoint R-CNN for the heads of a config; without them it makes its own."""
+    """Return torchvision's arguments for the heads of a config; empty for torchvision's own heads."""
     classes = 1 + len(config.categories)  # 0 is the background
     if config.heads == NETWORK_DEFAULTS.heads:
         return {"num_classes": classes, "num_keypoints": num_keypoints}

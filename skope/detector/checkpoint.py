@@ -25,7 +25,7 @@ _FORMAT_VERSION: Final = 1
 
 
 def save_weights(path: Path, model: KeypointRCNN, config: DetectorConfig, metadata: Mapping[str, Any]) -> None:
-    """Write a checkpoint. Its tensors load into torchvision's model with `strict=True`.
+    """Write a checkpoint. Its tensors can be loaded into torchvision's model with `strict=True`.
 
     Args:
         path: The .safetensors file to write.
@@ -70,9 +70,9 @@ def checkpoint_bytes(
 
 
 def full_state(model: KeypointRCNN) -> dict[str, torch.Tensor]:
-    """The model's tensors, which load strictly into torchvision's own model, whichever normalisation it has."""
+    """Return the model's tensors, which load strictly into torchvision's own model with either normalisation."""
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
-    # BatchNorm2d counts batches and FrozenBatchNorm2d does not; a count that is always there suits both.
+    # BatchNorm2d counts batches and FrozenBatchNorm2d does not; a count that is always present suits both.
     for name in [name for name in state if name.endswith(".running_var")]:
         state.setdefault(name.removesuffix("running_var") + "num_batches_tracked", torch.zeros((), dtype=torch.int64))
     return state
@@ -81,7 +81,7 @@ def full_state(model: KeypointRCNN) -> dict[str, torch.Tensor]:
 def load_weights(
     path: Path, device: torch.device | str, *, trainable_layers: int = 5
 ) -> tuple[KeypointRCNN, DetectorConfig, dict[str, Any]]:
-    """Load a checkpoint of `save_weights`.
+    """Load a checkpoint from `save_weights`.
 
     Args:
         path: The .safetensors file.
@@ -104,7 +104,7 @@ def load_weights(
 
 
 class _NotDrawn(TorchFunctionMode):
-    """Leave weights that a file will give as their memory is: drawing 59 million of them takes longer than reading."""
+    """Skip the random initialisation of weights that are read from a file: it would take longer than reading."""
 
     _DRAWS: Final = (
         torch.Tensor.normal_,
@@ -121,7 +121,7 @@ class _NotDrawn(TorchFunctionMode):
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
-    """The checked header (config, metadata ...) and the tensors of a checkpoint."""
+    """Return the checked header (config, metadata ...) and the tensors of a checkpoint."""
     if not path.is_file():
         raise UserError(f"{path}: no such checkpoint file")
     try:
@@ -134,7 +134,7 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]
 
 
 def config_in(path: Path, header: Mapping[str, Any]) -> DetectorConfig:
-    """The config in a checkpoint's header; a UserError names the file and the field that is wrong."""
+    """Return the config in a checkpoint's header; a UserError names the file and the invalid field."""
     try:
         return DetectorConfig.from_dict(header["config"])
     except UserError as error:
@@ -171,34 +171,37 @@ def _check_header(path: Path, metadata: Mapping[str, str]) -> dict[str, Any]:
 def _check_tensors(path: Path, expected: Mapping[str, torch.Tensor], got: Mapping[str, torch.Tensor]) -> None:
     counts = {name for name in got if name.endswith(".num_batches_tracked")}
     missing, extra = sorted(set(expected) - set(got)), sorted(set(got) - set(expected) - counts)
-    for what, names in (("lacks", missing), ("has unknown", extra)):
+    for problem, names in (("lacks", missing), ("has unknown", extra)):
         if names:
-            raise UserError(f"{path}: {what} {len(names)} tensor(s), first {names[0]}")
+            raise UserError(f"{path}: {problem} {len(names)} tensor(s), first {names[0]}")
     for name, tensor in expected.items():
         if got[name].shape != tensor.shape:
             raise UserError(f"{path}: tensor {name}: expected {tuple(tensor.shape)}, got {tuple(got[name].shape)}")
 
 
 BEST_WEIGHTS: Final = "best.safetensors"
-"""File name of the weights of a run's best epoch."""
+"""Return the file name of the weights of a run's best epoch."""
 
 
 def checkpoint_name(epoch: int) -> str:
-    """File name of the checkpoint after `epoch` epochs."""
+    """Return the file name of the checkpoint after `epoch` epochs."""
     return f"epoch_{epoch:03d}.safetensors"
 
 
 def checkpoints(run: Path) -> dict[int, Path]:
-    """Checkpoints of a run folder by the number of epochs behind them, ascending."""
+    """Return the checkpoints of a run folder by number of completed epochs, ascending."""
     found = ((re.fullmatch(r"epoch_(\d+)\.safetensors", path.name), path) for path in run.glob("epoch_*.safetensors"))
     return dict(sorted((int(match.group(1)), path) for match, path in found if match))
 
 
 def find_checkpoint(path: Path) -> Path:
-    """The weights that `path` names.
+    """Return the weights file that `path` refers to.
 
-    `path` itself if it is a file; the newest checkpoint of the run folder `path`, or the best if alone; or, where
-    neither is there, the weights of that name that come with the package. Raises UserError where there are none.
+    This is `path` itself if it is a file; the newest checkpoint if it is a run folder, or the best if no other exists;
+    or, if `path` does not exist, the weights of that name that come with the package.
+
+    Raises:
+        UserError: There are no such weights.
     """
     if path.is_file():
         return path

@@ -1,14 +1,15 @@
-"""Weights in about a seventh of their bytes: integers of at most eight bits with a step for each channel, deflated.
+"""Compact weights in about a seventh of the bytes: integers of at most eight bits with a step per channel, deflated.
 
 Weights of convolutions and linear layers are rounded to multiples of a step. The steps of a tensor's output channels
-are in proportion to their root mean squares, times a factor of the tensor. For a given number of bytes the sum of all
-tensors' relative errors is least where that factor grows with the square root of the number of weights: an integer
-costs log2(1 / factor) bits and a constant (Gish and Pierce, 1968, on quantisation before entropy coding), and its
-squared error is factor^2 / 12. Small and delicate layers, the first convolution and the predictors, keep 16 bits;
-norms, biases and counts keep all of theirs.
+are proportional to their root mean squares, times a factor of the tensor. For a given number of bytes, the sum of the
+relative errors of all tensors is smallest if that factor grows with the square root of the number of weights: an
+integer costs log2(1 / factor) bits plus a constant (Gish and Pierce, 1968, on quantisation before entropy coding), and
+its squared error is factor^2 / 12. Small and sensitive layers (the first convolution and the predictors) keep 16 bits.
+Norms, biases and counts keep all of their bits.
 
-Rounding follows GPTQ (Frantar, Ashkboos, Hoefler and Alistarh, 2023): weights not rounded yet compensate for the errors
-of those before, so that the layer's outputs change least. It needs the mean of x x^T over the layer's inputs x.
+Rounding follows GPTQ (Frantar, Ashkboos, Hoefler and Alistarh, 2023): weights that are not rounded yet compensate for
+the errors of previous weights, so that the layer's outputs change least. This needs the mean of x x^T over the layer's
+inputs x.
 """
 
 import hashlib
@@ -25,26 +26,26 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class PackingLimits:
-    """Size of packed weights, and the search for their steps."""
+    """Size of packed weights, and search for their steps."""
 
     moment_damping: float = 0.01
-    """Added to the moments' diagonal, as a share of its mean. They come from a sample."""
+    """Value added to the diagonal of the moments, as a share of its mean, because the moments come from a sample."""
     columns_at_once: int = 128
-    """Number of columns with rounding errors that are passed on to all later columns together."""
+    """Number of columns whose rounding errors are passed on to all later columns together."""
     most_bytes: int = 33_500_000
-    """Maximum size of the rounded weights of a detector."""
+    """Maximum size of the rounded weights of a detector, bytes."""
     largest_step: int = 127
-    """Steps of a rounded weight to either side."""
+    """Number of steps of a rounded weight to either side of 0."""
     finest: float = 2.0**-12
-    """Least factor of the search for the step of the largest tensor."""
+    """Minimum factor in the search for the step of the largest tensor."""
     coarsest: float = 4.0
-    """Largest factor of that search."""
+    """Maximum factor in that search."""
     halvings: int = 12
-    """Number of bisections of that search."""
+    """Number of bisections in that search."""
     sampled: int = 16
-    """The search examines one weight of this many."""
+    """The search examines one in this many weights."""
     most_weights: int = 1 << 28
-    """Largest number of weights of a file. A file that claims more is rejected before memory is allocated."""
+    """Maximum number of weights in a file. A file that declares more is rejected before memory is allocated."""
 
 
 PACKING_LIMITS: Final = PackingLimits()
@@ -54,7 +55,7 @@ class CompensatedRounding:
     """Rounds the weights of a layer, those of the largest inputs first."""
 
     def __init__(self, moments: Tensor) -> None:
-        """Take the (N, N) float32 mean of x x^T over inputs x, on the device that is to compute."""
+        """Store the (N, N) float32 mean of x x^T over inputs x, on the device for the computation."""
         self.device = moments.device
         damped = moments.double()
         diagonal = damped.diagonal()
@@ -63,10 +64,10 @@ class CompensatedRounding:
         damped = damped[self._order][:, self._order]
         inverse = torch.cholesky_inverse(torch.linalg.cholesky(damped))
         self._influence = torch.linalg.cholesky(inverse, upper=True).float()
-        """(N, N) upper triangle: in a row what the error of a column does to later ones."""
+        """(N, N) upper triangle; each row contains the effect of a column's error on later columns."""
 
     def __call__(self, weights: Tensor, nearest: Callable[[Tensor], Tensor]) -> Tensor:
-        """Round (C, N) float32 weights; `nearest` rounds a column, (C,), to values that can be kept."""
+        """Round (C, N) float32 weights; `nearest` rounds a column (C,) to storable values."""
         influence = self._influence
         left = weights.to(self.device)[:, self._order]
         rounded = torch.empty_like(left)
@@ -85,7 +86,7 @@ class CompensatedRounding:
 
 
 PACKING_WAYS: Final = ("integers", "half", "exact")
-"""Ways to keep a weight: rounded, as float16, or unchanged."""
+"""Ways to store a weight: rounded, as float16, or unchanged."""
 
 DELICATE_NAMES: Final = (
     "backbone.body.conv1.",  # of a ResNet
@@ -95,7 +96,7 @@ DELICATE_NAMES: Final = (
     "roi_heads.box_predictor.",
     "roi_heads.keypoint_predictor.",
 )
-"""Beginnings of the names of weights that keep 16 bits."""
+"""Prefixes of the names of weights that keep 16 bits."""
 _STEPS_SUFFIX: Final = ".steps"
 
 StateDict = Mapping[str, Tensor]
@@ -103,7 +104,7 @@ PackedHeader = Mapping[str, Any]
 
 
 class DamagedError(ValueError):
-    """Packed weights are damaged; says how, in a few words."""
+    """Error for damaged packed weights, with a short reason."""
 
 
 # -------------------------------------------------------------------------------------------------------------- packing
@@ -112,13 +113,14 @@ class DamagedError(ValueError):
 def pack(
     state: StateDict, most_bytes: int = PACKING_LIMITS.most_bytes, *, moments: StateDict | None = None
 ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """The tensors to store for a state dict, and how each weight is kept.
+    """Return the tensors to store for a state dict, and how each weight is stored.
 
     Args:
-        state: float32 tensors (and whole numbers, which are kept) by name.
-        most_bytes: what all rounded weights take at most; what is kept otherwise adds about a megabyte.
-        moments: by weight, (N, N) mean of x x^T over the inputs x of its layer, in the order of `weight.flatten(1)`:
-            these are rounded by `skope.detector.compact_weights`, others to what is nearest.
+        state: float32 tensors (and whole numbers, which are stored unchanged) by name.
+        most_bytes: Maximum size of all rounded weights. Other weights add about a megabyte.
+        moments: (N, N) mean of x x^T over the inputs x of a weight's layer, by weight, in the order of
+            `weight.flatten(1)`. These weights are rounded as in `skope.detector.compact_weights`, others to the nearest
+            value.
 
     Returns:
         Tensors by name, and for each name {"kept": one of `PACKING_WAYS`, "shape": [...]}. Integers are stored as
@@ -141,7 +143,7 @@ def _way(name: str, tensor: Tensor) -> str:
 
 
 class _Weight:
-    """A weight of C channels, and what its steps are made from."""
+    """Weight of C channels, with the values from which its steps are computed."""
 
     def __init__(self, tensor: Tensor, relative: float, moments: Tensor | None) -> None:
         self._tensor = tensor
@@ -151,21 +153,21 @@ class _Weight:
         self._finest = tensor.flatten(1).abs().amax(1) / PACKING_LIMITS.largest_step
 
     def steps(self, factor: float) -> Tensor:
-        """(C,) a step for each channel; never so fine that an integer exceeds `PACKING_LIMITS.largest_step`."""
+        """Return (C,) a step per channel, large enough that no integer exceeds `PACKING_LIMITS.largest_step`."""
         return torch.maximum(factor * self._mean_square, self._finest)
 
     def integers(self, factor: float) -> Tensor:
-        """The weights rounded to multiples of the steps: int8 of the weights' shape."""
+        """Return the weights as multiples of the steps: int8 in the shape of the weights."""
         steps = self.steps(factor)
         if self._rounding is None:
             return _integers(self._tensor, steps)
 
-        there = steps.to(self._rounding.device)
-        rounded = self._rounding(self._tensor.flatten(1), lambda column: _integers(column, there) * there)
+        on_device = steps.to(self._rounding.device)
+        rounded = self._rounding(self._tensor.flatten(1), lambda column: _integers(column, on_device) * on_device)
         return _integers(rounded.view(self._tensor.shape), steps)
 
     def bits(self, factor: float) -> float:
-        """Entropy of all integers, estimated from a sample."""
+        """Return the entropy of all integers, estimated from a sample."""
         counts = torch.bincount(
             _integers(self._sample, self.steps(factor)).flatten().int() + PACKING_LIMITS.largest_step
         ).double()
@@ -174,13 +176,13 @@ class _Weight:
 
 
 def _integers(tensor: Tensor, steps: Tensor) -> Tensor:
-    """int8 of the tensor's shape; zeros where a channel is zero."""
+    """Return int8 values in the tensor's shape; zeros for a channel of zeros."""
     inverse = torch.where(steps > 0, 1 / steps, 0).view(-1, *[1] * (tensor.ndim - 1))
     return (tensor * inverse).round().clamp(-PACKING_LIMITS.largest_step, PACKING_LIMITS.largest_step).to(torch.int8)
 
 
 def _deflated(weights: StateDict, most_bytes: int, moments: StateDict) -> dict[str, tuple[bytes, Tensor]]:
-    """Deflated integers and steps of each weight, with the finest factor that `most_bytes` allow."""
+    """Return deflated integers and steps of each weight, with the finest factor that fits into `most_bytes`."""
     count = sum(tensor.numel() for tensor in weights.values())
     largest = max(tensor.numel() for tensor in weights.values())
     prepared = {
@@ -193,12 +195,12 @@ def _deflated(weights: StateDict, most_bytes: int, moments: StateDict) -> dict[s
         excess = sum(len(data) for data, _ in out.values()) - most_bytes
         if excess <= 0 or factor >= PACKING_LIMITS.coarsest:
             return out
-        # Deflate is a little longer than the entropy; a factor twice as large saves a bit a weight.
+        # Deflate needs slightly more than the entropy; doubling the factor saves one bit per weight.
         factor *= 2.0 ** (8 * excess / count + 0.002)
 
 
 def _finest_factor(weights: Iterable[_Weight], most_bytes: int) -> float:
-    """The least factor of the largest tensor with which all integers' entropy is no more than `most_bytes`."""
+    """Return the smallest factor of the largest tensor for which all integers fit into `most_bytes`, by entropy."""
     low, high = math.log2(PACKING_LIMITS.finest), math.log2(PACKING_LIMITS.coarsest)
     for _ in range(PACKING_LIMITS.halvings):
         middle = (low + high) / 2
@@ -208,7 +210,7 @@ def _finest_factor(weights: Iterable[_Weight], most_bytes: int) -> float:
 
 
 def _deflate(integers: Tensor) -> bytes:
-    # Weights repeat nothing: only how often each integer comes can be made use of, and runs of zeros.
+    # Weights have no repeated sequences: only frequencies of integers and runs of zeros can be compressed.
     packer = zlib.compressobj(9, strategy=zlib.Z_RLE)
     return packer.compress(integers.numpy().tobytes()) + packer.flush()
 
@@ -217,7 +219,7 @@ def _deflate(integers: Tensor) -> bytes:
 
 
 def unpack(stored: StateDict, kept: PackedHeader) -> dict[str, Tensor]:
-    """The float32 state dict that `pack` was given, rounded; a DamagedError where the two do not belong together."""
+    """Return the rounded float32 state dict; raise a DamagedError if tensors and description do not match."""
     if not isinstance(kept, dict) or not all(_is_way(way) for way in kept.values()):
         raise DamagedError("the header says in a damaged way how the weights are kept")
     steps = {name + _STEPS_SUFFIX for name, way in kept.items() if way["kept"] == "integers"}
@@ -254,7 +256,7 @@ def _inflated(name: str, data: Tensor, steps: Tensor, shape: list[int]) -> Tenso
 
 
 def digest(stored: StateDict, header: Mapping[str, Any]) -> str:
-    """SHA-256, in hexadecimal, of a file's header (JSON values) and tensors."""
+    """Return the SHA-256, in hexadecimal, of a file's header (JSON values) and tensors."""
     hashed = hashlib.sha256(json.dumps(header, sort_keys=True, allow_nan=False).encode())
     for name in sorted(stored):
         hashed.update(f"{name} {stored[name].dtype} {list(stored[name].shape)}".encode())

@@ -1,10 +1,10 @@
-"""Run a detector on images: vehicles and their keypoints, other road users, or keypoints in given boxes.
+"""Run a detector on images: vehicles with keypoints, other road users, or keypoints in given boxes.
 
-Threads may share a model: each call has it for itself.
+Threads may share a model, because each call locks it.
 
-Peaks of heat maps are found for many vehicles at once. torchvision enlarges the maps of one vehicle after another to
-the size of its box and takes the largest value, a small call for each. Bicubic enlargement is linear in the rows and in
-the columns: here it is a product of three matrices for all vehicles of a chunk together.
+Peaks of heat maps are found for many vehicles at once. torchvision enlarges the maps of each vehicle separately to the
+size of its box and takes the maximum, which is a small call per vehicle. Bicubic enlargement is linear in rows and
+columns. Here it is therefore a product of three matrices for all vehicles of a chunk together.
 """
 
 import contextlib
@@ -30,7 +30,7 @@ from skope.detector.build import NETWORK_DEFAULTS, box_passes_of
 from skope.detector.network_settings import MIN_SCORE
 
 _VALUES_AT_ONCE: Final = {"cuda": 2**27, "cpu": 2**20}
-"""Values of enlarged maps that are held together, by the kind of device."""
+"""Maximum number of values of enlarged maps in memory, by kind of device."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class HeatmapKernel:
     """Bicubic kernel of heat maps."""
 
     reach_cells: int = 2
-    """Reach of the kernel on either side, cells. Beyond a map's edge its last cells are repeated."""
+    """Reach of the kernel to either side, cells. Beyond the edge of a map its last cells are repeated."""
     sharpness: float = -0.75
     """Parameter of the kernel (Keys, 1981), as in torch's `interpolate`."""
     regions_at_once: int = 128
-    """Given boxes that go through the keypoint head together. It limits memory."""
+    """Number of given boxes that pass through the keypoint head together; it limits memory."""
 
 
 HEATMAP_KERNEL: Final = HeatmapKernel()
@@ -90,9 +90,9 @@ def _chunks(sizes: list[list[int]], most: int) -> list[tuple[list[int], int, int
 
 
 def _largest(maps: Tensor, sizes: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
-    """(N, K, 2) column and row, and (N, K) value, of the peaks of maps enlarged to (N, 2) widths and heights.
+    """Return (N, K, 2) column and row, and (N, K) value, of the peaks of maps enlarged to (N, 2) widths and heights.
 
-    `width` and `height` are the largest of these.
+    `width` and `height` are the maxima of these.
     """
     maps = pad(maps, (HEATMAP_KERNEL.reach_cells,) * 4, mode="replicate")
     number, keypoints, rows, columns = maps.shape
@@ -102,12 +102,12 @@ def _largest(maps: Tensor, sizes: Tensor, width: int, height: int) -> tuple[Tens
     of_row, column = enlarged.max(dim=3)
     values, row = of_row.max(dim=1)
     column = column.gather(1, row[:, None])[:, 0]
-    # What lies beyond a map's own size repeats its last row or column.
+    # Cells beyond a map's own size repeat its last row or column.
     return torch.minimum(torch.stack([column, row], dim=-1), sizes[:, None] - 1), values
 
 
 def _enlargement(sizes: Tensor, longest: int, cells: int) -> Tensor:
-    """(N, longest, cells) matrices that enlarge padded cells to each of the sizes, and then repeat the last value."""
+    """Return (N, longest, cells) matrices that enlarge padded cells to each size, then repeat the last value."""
     target = torch.arange(longest, device=sizes.device)
     target = torch.minimum(target, sizes[:, None] - 1)
     at = (target + 0.5) * ((cells - 2 * HEATMAP_KERNEL.reach_cells) / sizes[:, None]) - 0.5 + HEATMAP_KERNEL.reach_cells
@@ -119,7 +119,7 @@ def _enlargement(sizes: Tensor, longest: int, cells: int) -> Tensor:
 
 
 MODEL_LOCKS: Final[WeakKeyDictionary[KeypointRCNN, threading.RLock]] = WeakKeyDictionary()
-"""One lock for each model, and not in it: models are copied and saved."""
+"""Locks by model. They are not attributes of the models, because models are copied and saved."""
 _ALL_LOCKS: Final = threading.Lock()
 
 
@@ -158,9 +158,9 @@ def detect(
 def _found(
     model: KeypointRCNN, images: Sequence[NDArray[np.uint8]], device: torch.device | str, categories: Sequence[str]
 ) -> Iterator[Detections]:
-    """The detections of images: torchvision's own path through the model, but for how heat maps are read.
+    """Yield the detections of images. This follows torchvision's path through the model, except for reading heat maps.
 
-    Only vehicles go through the keypoint head, where torchvision sends all categories through it.
+    Only vehicles pass through the keypoint head. torchvision sends all categories through it.
     """
     batch, _ = model.transform([as_tensor(image, device) for image in images])
     features = model.backbone(batch.tensors)
@@ -173,16 +173,17 @@ def _found(
     rectangles, scores, labels = heads.postprocess_detections(logits, offsets, proposals, batch.image_sizes)
     if box_passes_of(model) > 1 and any(len(label) for label in labels):
         rectangles = _corrected(heads, features, rectangles, labels, batch.image_sizes)
-    others = [RoadUserDetections()] * len(images)
+    road_users = [RoadUserDetections()] * len(images)
     if len(categories) > 1:
-        others = list(_road_users(images, batch.image_sizes, rectangles, scores, labels, categories))
+        road_users = list(_road_users(images, batch.image_sizes, rectangles, scores, labels, categories))
         vehicles = [each == schema.CATEGORY_ID for each in labels]
         rectangles, scores = ([x[v] for x, v in zip(each, vehicles, strict=True)] for each in (rectangles, scores))
     points = _keypoints(model, features, rectangles, batch.image_sizes)
-    # One way to the processor for the whole batch: on a GPU each takes as long as a small one.
+    # A single transfer from the device for the whole batch, because on a GPU each transfer takes as long as a small
+    # one.
     together = torch.cat([torch.cat(rectangles), torch.cat(scores)[:, None], points.flatten(1)], dim=1).cpu().double()
-    of_image = torch.split(together, [len(one) for one in scores])
-    for image, inner_size, found, users in zip(images, batch.image_sizes, of_image, others, strict=True):
+    of_image = torch.split(together, [len(image_scores) for image_scores in scores])
+    for image, inner_size, found, users in zip(images, batch.image_sizes, of_image, road_users, strict=True):
         points = found[:, 5:].view(-1, keypoints.K, 3)
         yield replace(_in_image(image, inner_size, found[:, :4], found[:, 4], points), road_users=users)
 
@@ -194,20 +195,20 @@ def _corrected(
     labels: Sequence[torch.Tensor],
     inner_sizes: Sequence[tuple[int, int]],
 ) -> list[torch.Tensor]:
-    """The (N, 4) boxes of each image after another look of the box head at each, in pixels inside the network.
+    """Return the (N, 4) boxes of each image after a second pass of the box head, in pixels inside the network.
 
-    The head has seen a region about the vehicle; now it sees the vehicle's own box, and what is left is small
-    (Cascade R-CNN; Cai and Vasconcelos, 2018; here by one head).
+    In the first pass, the head has seen a region around the vehicle; now it sees the vehicle's own box. The remaining
+    error is small (Cascade R-CNN; Cai and Vasconcelos, 2018; here with a single head).
     """
     _, offsets = heads.box_predictor(heads.box_head(heads.box_roi_pool(features, rectangles, inner_sizes)))
-    own = offsets_of_label(offsets, torch.cat(list(labels))).float()
-    moved = heads.box_coder.decode_single(own, torch.cat(list(rectangles)))
+    label_offsets = offsets_of_label(offsets, torch.cat(list(labels))).float()
+    moved = heads.box_coder.decode_single(label_offsets, torch.cat(list(rectangles)))
     of_image = torch.split(moved, [len(each) for each in rectangles])
     return [clip_boxes_to_image(each, size) for each, size in zip(of_image, inner_sizes, strict=True)]
 
 
 def offsets_of_label(offsets: torch.Tensor, labels: torch.Tensor) -> torch.Tensor:
-    """(N, 4) of the box head's offsets (N, 4 C) for C labels, those of each box's own (N,)."""
+    """Return (N, 4) box head offsets of each box's own label (N,), from (N, 4 C) for C labels."""
     return offsets.view(len(labels), -1, 4)[torch.arange(len(labels), device=labels.device), labels]
 
 
@@ -219,14 +220,16 @@ def _road_users(
     labels: Sequence[torch.Tensor],
     categories: Sequence[str],
 ) -> Iterator[RoadUserDetections]:
-    """Return the detections of each image that are no vehicles, in pixels of the image.
+    """Return the detections of each image that are not vehicles, in pixels of the image.
 
     Boxes, scores and labels are (N, 4), (N,) and (N,) of each image, the boxes in pixels inside the network.
     """
     ids = np.array([0, *(1 + schema.CATEGORY_NAMES.index(name) for name in categories)], dtype=np.int64)
-    for image, inner_size, own, sure, label in zip(images, inner_sizes, rectangles, scores, labels, strict=True):
+    for image, inner_size, image_boxes, sure, label in zip(
+        images, inner_sizes, rectangles, scores, labels, strict=True
+    ):
         chosen = label != schema.CATEGORY_ID
-        in_pixels = _in_pixels(own[chosen].cpu().double(), _scale(inner_size, (image.shape[1], image.shape[0])))
+        in_pixels = _in_pixels(image_boxes[chosen].cpu().double(), _scale(inner_size, (image.shape[1], image.shape[0])))
         of_category = ids[label[chosen].cpu().numpy()]
         yield RoadUserDetections(in_pixels.numpy(), sure[chosen].cpu().double().numpy(), of_category)
 
@@ -237,7 +240,7 @@ def _keypoints(
     rectangles: Sequence[torch.Tensor],
     inner_sizes: Sequence[tuple[int, int]],
 ) -> torch.Tensor:
-    """(N, 33, 3) x, y and peak logit for the N boxes of all images, (.., 4) of each, in pixels inside the network."""
+    """Return (N, 33, 3) x, y and peak logit, in pixels inside the network, for the N boxes (.., 4) of all images."""
     heads = model.roi_heads
     regions = heads.keypoint_roi_pool(features, rectangles, inner_sizes)
     heatmaps = heads.keypoint_predictor(heads.keypoint_head(regions))
@@ -252,7 +255,7 @@ def _in_image(
     scores: torch.Tensor,
     points: torch.Tensor,
 ) -> Detections:
-    """Detections in an image, in its own pixels."""
+    """Return detections in an image, in pixels of the image."""
     size = (image.shape[1], image.shape[0])
     scale = _scale(inner_size, size)
     in_pixels = _in_pixels(rectangles, scale)
@@ -260,7 +263,7 @@ def _in_image(
 
 
 def _in_pixels(rectangles: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
-    """(N, 4) boxes inside the network in pixels of an image that is (2,) times as large."""
+    """Return (N, 4) boxes, given inside the network, in pixels of an image that is (2,) times as large."""
     return (rectangles.reshape(-1, 2, 2) * scale).reshape(-1, 4)
 
 
@@ -270,12 +273,12 @@ def _scale(inner_size: tuple[int, int], size: tuple[int, int]) -> torch.Tensor:
 
 
 def _nothing(image: NDArray[np.uint8]) -> Detections:
-    """No detections: for an image that is too narrow for the network."""
+    """Return no detections, for an image that is too narrow for the network."""
     return Detections(np.zeros((0, 4)), np.zeros(0), np.zeros((0, keypoints.K, 3)), (image.shape[1], image.shape[0]))
 
 
 def _short_side(model: KeypointRCNN, image: NDArray[np.uint8]) -> float:
-    """Length of an image's short side inside the network, pixels."""
+    """Return the length of an image's short side inside the network, pixels."""
     short, long = sorted(image.shape[:2])
     return float(short * min(model.transform.min_size[-1] / short, model.transform.max_size / long))
 
@@ -289,7 +292,7 @@ def detect_on_boxes(
         model: The detector.
         image: (H, W, 3) uint8 sRGB.
         boxes_xyxy: (N, 4) pixels of `image`.
-        device: Where the model is.
+        device: Device of the model.
 
     Returns:
         (N, 33, 3) x, y in pixels of `image` and p, as in `Detections.keypoints`.
@@ -308,7 +311,7 @@ def detect_on_boxes(
 
 @contextlib.contextmanager
 def _inference(model: KeypointRCNN, min_score: float, max_detections: int) -> Iterator[None]:
-    """Keep a model to this thread, with these thresholds, and as it was before afterwards."""
+    """Lock a model for this thread and set these thresholds; restore its state afterwards."""
     heads = model.roi_heads
     with _lock_of(model), torch.inference_mode():
         before = model.training, heads.score_thresh, heads.detections_per_img
@@ -322,18 +325,18 @@ def _inference(model: KeypointRCNN, min_score: float, max_detections: int) -> It
 
 
 def _lock_of(model: KeypointRCNN) -> threading.RLock:
-    """The lock that a call holds while it changes a model: thresholds, mode, what its parts hand on."""
+    """Return the lock that a call holds while it changes a model: thresholds, mode, and values passed between parts."""
     with _ALL_LOCKS:
         return MODEL_LOCKS.setdefault(model, threading.RLock())
 
 
 def as_tensor(image: NDArray[np.uint8], device: torch.device | str) -> torch.Tensor:
-    """An image as torchvision's detectors take it: (H, W, 3) 0..255 -> (3, H, W) float32 0..1."""
-    # torch takes neither negative strides nor arrays that cannot be written to; others are not copied.
+    """Return an image as torchvision's detectors expect it: (H, W, 3) 0..255 to (3, H, W) float32 0..1."""
+    # torch supports neither negative strides nor read-only arrays; only these are copied.
     plain = np.require(image, requirements=("C", "W"))
     return torch.as_tensor(plain, device=device).permute(2, 0, 1).float() / 255
 
 
 def _with_probability(points: torch.Tensor, scale: torch.Tensor) -> NDArray[np.float64]:
-    """(N, 33, 3) x, y and peak logit inside the network -> x, y, p in an image, which is (2,) times as large."""
+    """Convert (N, 33, 3) x, y and peak logit inside the network to x, y, p in an image that is (2,) times as large."""
     return torch.cat([points[..., :2] * scale, points[..., 2:].sigmoid()], dim=-1).numpy()

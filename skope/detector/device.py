@@ -1,4 +1,4 @@
-"""The device that torch computes on: that of a `--device` flag, and whether it has bfloat16."""
+"""Device for torch, from a `--device` flag, and its support for bfloat16."""
 
 import os
 import re
@@ -12,9 +12,9 @@ _WITHOUT_BFLOAT16: Final = ("SSE41", "AVX", "AVX2", "AVX2_VNNI", "AVX512_CORE", 
 
 
 def has_bfloat16(device: torch.device) -> bool:
-    """Whether the processor has instructions for bfloat16; without them it is slower than float32, not faster.
+    """Return whether the processor has instructions for bfloat16; without them bfloat16 is slower than float32.
 
-    Of a CPU those count that the library of its products may use: ONEDNN_MAX_CPU_ISA limits them.
+    On a CPU, only instructions that the library for products may use count: ONEDNN_MAX_CPU_ISA limits them.
     """
     if device.type == "cuda":
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
@@ -24,7 +24,7 @@ def has_bfloat16(device: torch.device) -> bool:
 
 
 def choose_device(name: str) -> torch.device:
-    """The device of a `--device` flag; `auto` is a GPU where there is one."""
+    """Return the device of a `--device` flag; `auto` selects a GPU if there is one."""
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if not re.fullmatch(r"cpu|cuda(:\d+)?", name):

@@ -1,11 +1,11 @@
-"""`skope eval calibrate-scores`: fit the scores of a checkpoint to the truth of a dataset that it did not learn from.
+"""`skope eval calibrate-scores`: fit a checkpoint's scores to the ground truth of a dataset that it was not trained on.
 
-Calibrated scores become part of the weights. A vehicle's score is the sigmoid of the difference of its two logits, a
-keypoint's that of its heat map's maximum; both are linear in the last layer. Scaling and shifting that layer gives a
-checkpoint like any other, also for torchvision's own model.
+Calibrated scores become part of the weights. A vehicle's score is the sigmoid of the difference of its two logits; a
+keypoint's score is the sigmoid of the maximum of its heat map. Both are linear in the last layer. Scaling and shifting
+that layer gives an ordinary checkpoint, also for torchvision's own model.
 
-Other categories have a scale and an offset of their own, of the difference of their logit and the background's. Such a
-score is calibrated where the background is the strongest competitor: nearly everywhere.
+Other categories have their own scale and offset of the difference between their logit and that of the background. Such
+a score is calibrated if the background is the strongest competitor, which is nearly always the case.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ from skope.detector import score_calibration
 from skope.detector.checkpoint import checkpoint_bytes, find_checkpoint, load_weights
 from skope.detector.network_settings import Settings
 from skope.detector.predictor import CALIBRATED_KEY, Predictor
-from skope.detector.score_calibration import CALIBRATION_RULES, ScoreCalibration, fit_one, raw_maxima, sigmoid
+from skope.detector.score_calibration import CALIBRATION_RULES, ScoreCalibration, fit_logistic, raw_maxima, sigmoid
 from skope.detector.weights import shipped
 from skope.errors import UserError
 from skope.files.output_folders import check_file, work_of, write_new
@@ -39,27 +39,27 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class CalibrationFit:
-    """Limits of the fit of score calibration."""
+    """Limits of the calibration fit."""
 
     least_score: float = 0.02
     """Score above which detections are used."""
     found_iou: float = 0.5
-    """IoU from which a detection finds a vehicle."""
+    """Minimum IoU for a detection to match a vehicle."""
     largest_logit_gap: float = 16.0
-    """Largest difference of logits that a score in float32 resolves."""
+    """Maximum difference of logits that a float32 score resolves."""
     least_scale: float = 1e-3
-    """Least scale. With 0 the position of a heat map's maximum and the order of vehicles would be lost."""
+    """Minimum scale. With 0, the position of a heat map's maximum and the order of vehicles would be lost."""
     least_outcomes: int = 20
-    """Smallest number of right and of wrong detections for a category's own calibration."""
+    """Minimum number of correct and of wrong detections for a category's own calibration."""
 
 
 CALIBRATION_FIT: Final = CalibrationFit()
 
 
 def vehicle_outcomes(file: AnnotationFile, results: Sequence[Result]) -> tuple[Array, NDArray[np.bool_]]:
-    """Scores of detections above `CALIBRATION_FIT.least_score` and whether each found a vehicle, (D,) each.
+    """Return scores of detections above `CALIBRATION_FIT.least_score` and whether each matched a vehicle, (D,) each.
 
-    A second detection of a vehicle found none; those on ignored vehicles are left out.
+    A second detection of a vehicle is not a match. Detections on ignored vehicles are excluded.
     """
     matches = match(file, results, score=CALIBRATION_FIT.least_score, thresholds=(CALIBRATION_FIT.found_iou,))
     right = matches.taken[CALIBRATION_FIT.found_iou] >= 0
@@ -68,8 +68,8 @@ def vehicle_outcomes(file: AnnotationFile, results: Sequence[Result]) -> tuple[A
 
 
 def fit_boxes(scores: Array, right: NDArray[np.bool_]) -> tuple[float, float]:
-    """Scale and offset of the logits of a category's scores, from scores and outcomes (D,)."""
-    scale, offset = fit_one(_logits(scores), right)
+    """Return scale and offset of the logits of a category's scores, from scores and outcomes (D,)."""
+    scale, offset = fit_logistic(_logits(scores), right)
     return max(scale, CALIBRATION_FIT.least_scale), offset
 
 
@@ -79,7 +79,7 @@ def calibrated(scores: Array, scale: float, offset: float) -> Array:
     Args:
         scores: (D,) raw scores, 0 to 1.
         scale: Factor of their logits.
-        offset: What is added to it then.
+        offset: Value added after scaling.
 
     Returns:
         (D,) calibrated scores.
@@ -92,13 +92,12 @@ def _logits(scores: Array) -> Array:
 
 
 def fold(model: KeypointRCNN, boxes: Mapping[int, tuple[float, float]], points: ScoreCalibration) -> None:
-    """Scale and shift the last layers of a model, in float32, so that its own scores are the calibrated ones.
+    """Scale and shift the last layers of a model, in float32, so that its scores are calibrated.
 
     Args:
         model: Its box and keypoint predictors are changed in place.
-        boxes: Category's id, from 1 -> scale and offset of its logit. The others get the vehicles' scale.
-        points: Scale and offset of the keypoints' heat maps; a scale is taken to be `CALIBRATION_FIT.least_scale` at
-        least.
+        boxes: Category id, from 1, to scale and offset of its logit. Other categories get the scale of vehicles.
+        points: Scale and offset of the keypoints' heat maps; the scale is at least `CALIBRATION_FIT.least_scale`.
     """
     box, maps = model.roi_heads.box_predictor.cls_score, model.roi_heads.keypoint_predictor.kps_score_lowres
     steepness = torch.as_tensor(np.maximum(points.scale, CALIBRATION_FIT.least_scale), dtype=torch.float32)
@@ -111,7 +110,7 @@ def fold(model: KeypointRCNN, boxes: Mapping[int, tuple[float, float]], points: 
             )
             if parameter is box.bias:
                 scaled += torch.tensor([offset for _, offset in fitted])
-            # Away from their mean, which changes no score.
+            # Relative to their mean, which does not change a score.
             parameter.copy_(scaled - scaled.mean(dim=0))
         maps.weight *= steepness[:, None, None]
         maps.bias.copy_(maps.bias * steepness + torch.as_tensor(points.offset, dtype=torch.float32))
@@ -122,26 +121,27 @@ TRAIN_SPLIT: Final = "train"
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationJob:
-    """A calibration of scores: checkpoint and data."""
+    """Settings of a calibration: checkpoint and data."""
 
     checkpoint: Path
     data: Path
     split: str
     last: float | None
-    """Share at the end of each recording that is taken; None: all of a test split, or what training validated on."""
+    """Share at the end of each recording to use. None: all of a test split, or the validation part of training."""
     score: float
-    """Score threshold of the detections that the calibration is fitted to."""
+    """Score threshold of the detections used for the fit."""
     settings: Settings
     max_images: int | None = None
     out: Path | None = None
-    """Checkpoint to write with boxes' and keypoints' scores calibrated; None: only keypoints', in a file beside the
+    """Checkpoint to write with calibrated box and keypoint scores. None: keypoint scores only, in a file beside the
     weights."""
 
 
 def fit_calibration(job: CalibrationJob, console: Console) -> Path:
-    """Fit the calibration and write it beside the weights, or as part of other weights; returns the path.
+    """Fit the calibration and write it beside the weights or as part of new weights; return the path.
 
-    Raises UserError where another calibration lies there, of other weights, data or options, or another file.
+    Raises:
+        UserError: The output exists with the calibration of other weights, data or options, or is another file.
     """
     weights = find_checkpoint(job.checkpoint)
     if job.out:
@@ -159,7 +159,7 @@ def fit_calibration(job: CalibrationJob, console: Console) -> Path:
     file = read_inputs.limit(_taken(job, truth.splits[0], share), job.max_images)
     if not file.images:
         raise UserError(f"{job.data}: split {job.split}: the last {share:g} of its recordings is less than one image")
-    results, others = apart([one for _, found in predictor.by_image(file, truth.root) for one in found])
+    results, road_users = apart([result for _, found in predictor.by_image(file, truth.root) for result in found])
 
     matches = match(file, results, score=job.score, thresholds=(CALIBRATION_RULES.iou,))
     outcomes = outcomes_at(
@@ -188,7 +188,7 @@ def fit_calibration(job: CalibrationJob, console: Console) -> Path:
     _tell("keypoints", points[..., 2], fitted(points)[..., 2], right, console)
     if job.out is None:
         return score_calibration.write(weights, fitted, work, predictor.scheme.name)
-    boxes = _fitted_boxes(file, results, others, predictor.categories, console)
+    boxes = _fitted_boxes(file, results, road_users, predictor.categories, console)
     model, config, metadata = load_weights(weights, "cpu")
     fold(model, boxes, fitted)
     known = [predictor.categories[number - CATEGORY_ID] for number in boxes]
@@ -200,17 +200,19 @@ def fit_calibration(job: CalibrationJob, console: Console) -> Path:
 def _fitted_boxes(
     file: AnnotationFile,
     vehicles: Sequence[Result],
-    others: Sequence[RoadUserResult],
+    road_users: Sequence[RoadUserResult],
     categories: Sequence[str],
     console: Console,
 ) -> dict[int, tuple[float, float]]:
-    """Scale and offset of the scores of each category that the data tell, by the category's id."""
+    """Return scale and offset of the scores of each category with enough data, by category id."""
     fitted = {}
     for number, name in enumerate(categories, start=CATEGORY_ID):
         if number == CATEGORY_ID:
             scores, hits = vehicle_outcomes(file, vehicles)
         else:
-            scores, hits = box_outcomes(file, [one for one in others if one.score > CALIBRATION_FIT.least_score], name)
+            scores, hits = box_outcomes(
+                file, [user for user in road_users if user.score > CALIBRATION_FIT.least_score], name
+            )
             if min(hits.sum(), (~hits).sum()) < CALIBRATION_FIT.least_outcomes:
                 console.say(
                     f"{name}: not calibrated, a threshold means another thing for it: of {len(hits)} detections "
@@ -218,31 +220,31 @@ def _fitted_boxes(
                 )
                 continue
         fitted[number] = fit_boxes(scores, hits)
-        what = "vehicles" if number == CATEGORY_ID else name
-        _tell(what, scores, calibrated(scores, *fitted[number]), hits, console)
+        subject = "vehicles" if number == CATEGORY_ID else name
+        _tell(subject, scores, calibrated(scores, *fitted[number]), hits, console)
     return fitted
 
 
-def _tell(what: str, before: Array, after: Array, right: NDArray[np.bool_], console: Console) -> None:
-    """Say what scores were worth before and after."""
+def _tell(subject: str, before: Array, after: Array, right: NDArray[np.bool_], console: Console) -> None:
+    """Print the quality of scores before and after calibration."""
     losses = []
     for words, p in (("before", before), ("after", after)):
         error = score_reliability.calibration_error(score_reliability.reliability(p.ravel(), right.ravel()))
         losses.append(score_calibration.log_loss(p, right))
-        console.say(f"{what}, {words}: log loss {losses[-1]:.3f}, calibration error {error:.3f}")
+        console.say(f"{subject}, {words}: log loss {losses[-1]:.3f}, calibration error {error:.3f}")
     if losses[1] > losses[0]:
-        console.say(f"{what}: the scores are worse now than before: fit them to more images (--split, --last)")
+        console.say(f"{subject}: the scores are worse now than before: fit them to more images (--split, --last)")
 
 
 def _work(job: CalibrationJob, files: Sequence[Path], share: float) -> dict[str, Any]:
-    """Identity of the calibration for `work.json`: checkpoint, data and options."""
+    """Return the identity of the calibration for `work.json`: checkpoint, data and options."""
     options = {"split": job.split, "last": share, "score": job.score, "max_images": job.max_images}
     settings = {name: getattr(job.settings, name) for name in ("backend", "precision", "min_size")}
     return work_of("skope eval calibrate-scores", files, {**options, **settings})
 
 
 def _share(job: CalibrationJob, metadata: dict[str, Any]) -> float:
-    """Share of each recording to take: what training kept for validation, all of other splits."""
+    """Return the share of each recording to use: the validation part of training data, all of other splits."""
     if job.last is not None:
         if not 0 < job.last <= 1:
             raise UserError(f"--last: expected a share above 0 and up to 1, got {job.last}")
@@ -260,7 +262,7 @@ def _share(job: CalibrationJob, metadata: dict[str, Any]) -> float:
 
 
 def _taken(job: CalibrationJob, file: AnnotationFile, share: float) -> AnnotationFile:
-    """Annotations to fit the scores to: nothing that was learnt from, unless `--last` asks for it."""
+    """Return the annotations for the fit; training data are excluded unless `--last` requests them."""
     if job.last is not None or job.split != TRAIN_SPLIT:
         return last_frames(file, share)
     return ignoring(*held_back(file, share))

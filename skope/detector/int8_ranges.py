@@ -1,6 +1,6 @@
 """Value ranges of the inputs of a detector's layers, which int8 inference needs.
 
-The ranges are part of a checkpoint's metadata. The first and last layers, with weights that stay in 16 bits in a packed
+The ranges are part of a checkpoint's metadata. The first and last layers, whose weights keep 16 bits in a packed
 checkpoint (`skope.detector.compact_weights`), have no range: they are not quantised.
 """
 
@@ -16,37 +16,37 @@ from skope.detector.compact_weights import DELICATE_NAMES
 from skope.errors import UserError
 
 RANGES_KEY: Final = "activation_ranges"
-"""Key of a checkpoint's metadata under which they are."""
+"""Metadata key of the ranges in a checkpoint."""
 
 Ranges = Mapping[str, tuple[float, float]]
-"""Least and largest input by a layer's name."""
+"""Minimum and maximum input by layer name."""
 
 
 @dataclass(frozen=True)
 class RangeSampling:
-    """How ranges of inputs are measured."""
+    """Settings for measuring the ranges of inputs."""
 
     clipped_share: float = 1e-4
-    """Share of a call's inputs outside its range at each end. Rare, huge values would make all others coarser."""
+    """Share of a call's inputs outside its range at each end. Rare extreme values would make all others coarser."""
     inputs: int = 1 << 18
-    """Number of inputs of a call that are examined."""
+    """Number of inputs examined per call."""
 
 
 RANGE_SAMPLING: Final = RangeSampling()
 
 
 def rounded_layers(model: nn.Module) -> dict[str, nn.Conv2d | nn.Linear]:
-    """The layers that have ranges, by name."""
+    """Return the layers that have ranges, by name."""
     layers = ((n, m) for n, m in model.named_modules() if isinstance(m, nn.Conv2d | nn.Linear))
     return {name: module for name, module in layers if not f"{name}.".startswith(DELICATE_NAMES)}
 
 
 @contextlib.contextmanager
 def noted(model: nn.Module) -> Iterator[dict[str, tuple[float, float]]]:
-    """Note the ranges of the inputs of a model's layers while it runs.
+    """Record the ranges of the inputs of a model's layers while it runs.
 
     Yields:
-        The widest of all calls' ranges, by layer. A layer that nothing has reached is not there.
+        The widest range over all calls, by layer. Layers without input are missing.
     """
     found: dict[str, tuple[float, float]] = {}
 
@@ -69,7 +69,7 @@ def noted(model: nn.Module) -> Iterator[dict[str, tuple[float, float]]]:
 
 
 def to_metadata(model: nn.Module, ranges: Ranges) -> dict[str, Any]:
-    """Ranges as a checkpoint's metadata has them: nothing where a layer has none."""
+    """Return ranges as checkpoint metadata; empty if a layer has no range."""
     return (
         {RANGES_KEY: {name: list(ends) for name, ends in ranges.items()}}
         if set(ranges) == set(rounded_layers(model))
@@ -78,7 +78,7 @@ def to_metadata(model: nn.Module, ranges: Ranges) -> dict[str, Any]:
 
 
 def read(model: nn.Module, metadata: Mapping[str, Any]) -> Ranges | None:
-    """The ranges in a checkpoint's metadata; None where it has none.
+    """Return the ranges in a checkpoint's metadata; None if it has none.
 
     Raises:
         UserError: They are not those of the layers of `model`.

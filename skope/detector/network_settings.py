@@ -1,4 +1,4 @@
-"""Settings of inference; apart from what runs it, so that the command line can say what is wrong without torch."""
+"""Settings of inference, in a module without torch so that the command line can check them quickly."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -7,7 +7,7 @@ from skope.errors import UserError, one_of
 
 BACKEND_CHOICES: Final = ("auto", "torch", "openvino", "onnx")
 FASTEST_BACKEND: Final = "openvino"
-"""Backend that "auto" is on a CPU, where it is installed."""
+"""Backend that `auto` selects on a CPU if it is installed."""
 PRECISION_CHOICES: Final = ("auto", "float32", "bfloat16", "int8")
 TILE_CHOICES: Final = ("none", "auto")
 MIN_SCORE: Final = 0.05
@@ -19,28 +19,27 @@ class Settings:
     """Settings of inference."""
 
     device: str = "auto"
-    """Device of the network: "cpu", "cuda", "cuda:N", or "auto" for a GPU where there is one."""
+    """Device of the network: "cpu", "cuda", "cuda:N", or "auto" for a GPU if there is one."""
     given: bool = False
-    """Leave detection out and place the keypoints of the ground-truth vehicles inside their own boxes."""
+    """Whether to skip detection and localise the keypoints of the ground-truth vehicles in their own boxes."""
     min_score: float | None = None
-    """Only detections above this go through the keypoint head; None: those above `MIN_SCORE`.
-
-    Footage has a score of its own (`PredictJob.score`), from which this follows."""
+    """Score above which detections pass through the keypoint head; None: `MIN_SCORE`. Footage has its own score
+    (`PredictJob.score`), from which this value follows."""
     backend: str = "torch"
-    """Library for the network's costly parts; "auto" is OpenVINO on a CPU where it is installed, else torch."""
+    """Library for the costly parts of the network; "auto" selects OpenVINO on a CPU if it is installed, else torch."""
     precision: str = "float32"
-    """Number format of the costly parts' products; "auto": the fastest that backend, processor and checkpoint have."""
+    """Number format of the products; "auto" selects the fastest one that backend, processor and checkpoint support."""
     min_size: int | None = None
-    """Short side of images inside the network, pixels; None: what the checkpoint was trained with."""
+    """Short side of images inside the network, pixels; None: that of the checkpoint's training."""
     batch_size: int | None = None
-    """Images of one size that go through the network together; default: 1 on a CPU, 8 on a GPU, 16 if it has 24 GB."""
+    """Number of images of one size per batch. Default: 1 on a CPU, 8 on a GPU, 16 if it has 24 GB."""
     tiles: str = "none"
-    """Whether parts of the image go through the network too: "auto" where it is larger than the network takes it."""
+    """Whether parts of the image also pass through the network; "auto" for images larger than the network's input."""
     one_size: bool = True
-    """Whether all images have one of a few sizes. A backend then prepares for each size, which takes 1.5 s and is a
-    fifth faster afterwards. The detections of an image never depend on earlier images."""
+    """Whether all images have one of a few sizes. A backend then prepares for each size. This takes 1.5 s per size and
+    makes inference a fifth faster. The detections in an image never depend on earlier images."""
     calibrated: bool = True
-    """Use the calibration beside the weights, if there is one."""
+    """Whether to use the calibration beside the weights, if there is one."""
 
     def __post_init__(self) -> None:
         one_of("--backend", self.backend, BACKEND_CHOICES)

@@ -1,4 +1,4 @@
-"""Run the detector over many images: a thread decodes ahead, and images are batched where that helps."""
+"""Run the detector on many images: a thread decodes ahead, and images are batched if this helps."""
 
 import contextlib
 import copy
@@ -46,24 +46,25 @@ class BatchSizes:
     """Batches and threads of a predictor."""
 
     poll_s: float = 0.1
-    """Interval at which a thread that waits for its caller checks whether the caller is gone, seconds."""
+    """Interval at which a waiting thread checks whether its caller still exists, seconds."""
     gpu: int = 8
-    """Images that go through the network together on a GPU. A CPU gains nothing from batches."""
+    """Number of images per batch on a GPU. A CPU gains nothing from batches."""
     large_gpu: int = 16
-    """The same on a GPU with `large_gpu_bytes` or more. At short side 1080 they take 10 GB, and are a tenth faster."""
+    """Number of images per batch on a GPU with `large_gpu_bytes` or more. At a short side of 1080, a batch takes 10 GB
+    and is a tenth faster."""
     large_gpu_bytes: int = 24 * 10**9
     """Memory of a large GPU, bytes."""
     decoders: int = 2
-    """Threads that decode images."""
+    """Number of threads that decode images."""
 
 
 BATCH_SIZES: Final = BatchSizes()
 
 
 def read_ahead(items: Iterable[Item], count: int) -> Generator[Item]:
-    """The items of an iterable, in order; a thread makes up to `count` of them that the caller has not asked for yet.
+    """Yield the items of an iterable in order; a thread computes up to `count` items ahead.
 
-    What the iterable raises is raised here in its place. The thread ends when the caller closes this generator.
+    An exception of the iterable is raised at its position. The thread ends when the caller closes this generator.
     """
     made: queue.Queue[object] = queue.Queue(count)
     unwanted = threading.Event()
@@ -81,7 +82,7 @@ def read_ahead(items: Iterable[Item], count: int) -> Generator[Item]:
                 if unwanted.is_set():
                     return
             put(END_MARK)
-        except BaseException as error:  # raised again where the items are taken
+        except BaseException as error:  # raised again when the items are taken
             put(_Raised(error))
 
     thread = threading.Thread(target=make, daemon=True)
@@ -104,11 +105,11 @@ class _Raised:
 T = TypeVar("T")
 
 CALIBRATED_KEY: Final = "calibrated"
-"""Key of a checkpoint's metadata under which it says what its own scores were calibrated on."""
+"""Metadata key of a checkpoint for the data that its own scores were calibrated on."""
 
 
 class Predictor:
-    """A detector on a device, with the calibration of its scores if there is one."""
+    """Detector on a device, with the calibration of its scores if there is one."""
 
     def __init__(
         self,
@@ -129,20 +130,20 @@ class Predictor:
         self._calibration, self._settings = calibration, settings
         self._device, self._console = device, console
         self.batch_size = settings.batch_size or default_batch_size(device)
-        """Images of one size that go through the network together, at most."""
+        """Maximum number of images of one size per batch."""
         self.scheme = config.keypoint_scheme
 
     @classmethod
     def load(cls, checkpoint: Path, settings: Settings, console: Console) -> "Predictor":
-        """Load a checkpoint, and let a backend compute as `settings` has it.
+        """Load a checkpoint and prepare the backend that `settings` select.
 
         Args:
             checkpoint: A checkpoint file, a run folder, or the name of weights that come with skope.
-            settings: How it is run.
-            console: Hears what is run, and how.
+            settings: Settings of inference.
+            console: Receives a description of detector and backend.
 
         Raises:
-            UserError: There is no such checkpoint, device or backend, or a file is damaged.
+            UserError: Checkpoint, device or backend does not exist, or a file is damaged.
         """
         device = choose_device(settings.device)
         weights = find_checkpoint(checkpoint)
@@ -176,25 +177,25 @@ class Predictor:
         return predictor
 
     def described(self, number: str) -> str:
-        """The detector in words; `number` are backend and number format."""
+        """Return a description of the detector; `number` describes backend and number format."""
         sides = f"short side {self.config.min_size}, long side at most {self.config.max_size} px"
         scores = "calibrated" if self.calibrated else "uncalibrated"
         return f"{self.name} on {self._device} in {number} ({sides}; {scores} keypoint scores)"
 
     @property
     def name(self) -> str:
-        """Its name in the package, or its file's path."""
+        """Name of the weights in the package, or path of the file."""
         return self.weights.stem if shipped(self.weights) else str(self.weights)
 
     def reporting(self, min_score: float, *, batch_size: int | None = None) -> "Predictor":
-        """The same detector, with the same weights in memory, that reports what scores above `min_score`.
+        """Return the same detector, with shared weights, that reports detections with scores above `min_score`.
 
-        `batch_size` images of one size go through the network together, at most; None: as before.
+        `batch_size` is the maximum number of images of one size per batch; None: unchanged.
         """
-        other = copy.copy(self)
-        other.batch_size = batch_size or self.batch_size
-        other._settings = replace(self._settings, min_score=min_score, batch_size=other.batch_size)
-        return other
+        copied = copy.copy(self)
+        copied.batch_size = batch_size or self.batch_size
+        copied._settings = replace(self._settings, min_score=min_score, batch_size=copied.batch_size)
+        return copied
 
     @property
     def settings(self) -> Settings:
@@ -211,17 +212,17 @@ class Predictor:
 
     @property
     def calibrated(self) -> bool:
-        """Whether keypoint scores are probabilities that were fitted for these weights, or by these weights."""
+        """Whether keypoint scores are probabilities that were calibrated for, or with, these weights."""
         return self._calibration is not None or CALIBRATED_KEY in self.metadata
 
     @property
     def categories(self) -> tuple[str, ...]:
-        """Names of the categories that it has learnt."""
+        """Names of the categories that the detector has learnt."""
         return self.config.categories
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files that decide what is found: the weights, and the calibration of their scores where there is one."""
+        """Files that determine the detections: weights and, if it exists, the calibration of their scores."""
         beside = () if self._calibration is None else (score_calibration.path_beside(self.weights),)
         return (self.weights, *beside)
 
@@ -235,13 +236,12 @@ class Predictor:
         """Find vehicles and other road users in the images of a file, one after another.
 
         Args:
-            file: The images, and, where `Settings.given`, the vehicles.
-            root: The folder that file names are relative to.
-            known: Ids of images that are left out, as they were done before.
+            file: The images and, with `Settings.given`, the vehicles.
+            root: Folder that file names are relative to.
+            known: Ids of images to skip, because their results exist.
 
         Yields:
-            An image's id, and what is found in it, vehicles first, in the order of `file`. Where boxes are given,
-            that is the vehicles alone.
+            Id and detections of each image, vehicles first, in the order of `file`. With given boxes, only vehicles.
         """
         annotations = file.by_image()
         images = [image for image in file.images if image.id not in known]
@@ -256,7 +256,7 @@ class Predictor:
                 else:
                     yield from ((image.id, found) for image, found in self._found(batch))
                 bar.update(len(batch))
-                # The first batch also warms the libraries up: the second one, where there is one, tells the duration.
+                # The first batch also warms up the libraries, so the second one (if any) is timed.
                 if bar.n == before + len(batch) < len(file.images):
                     begun, done = time.perf_counter(), bar.n
                 elif bar.n <= before + 2 * self.batch_size and not self._console.quiet:
@@ -264,30 +264,30 @@ class Predictor:
                     bar.write(f"{file.name}: about {minutes(seconds)} for {len(images)} images")
 
     def each(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
-        """The results of one image after another, as they come, vehicles first."""
+        """Yield the results of images one by one as they become available, vehicles first."""
         for batch in _batches(images, self.batch_size):
             yield from self._found(batch)
 
     def each_ahead(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
-        """The same, where images can wait: they are made, and on a GPU looked at, while the caller works."""
+        """Yield the same results if images can wait: batches are prepared, and on a GPU processed, in advance."""
         if self._device.type != "cuda":
             return self.each(read_ahead(images, 2 * self.batch_size))
         pinned = ((image, _pinned(pixels)) for image, pixels in images)
         return read_ahead(self.each(read_ahead(pinned, 2 * self.batch_size)), self.batch_size)
 
     def detections(self, images: Sequence[Pixels]) -> list[Detections]:
-        """Find vehicles and other road users in several images, (H, W, 3) uint8 sRGB each."""
+        """Detect vehicles and other road users in several images, (H, W, 3) uint8 sRGB each."""
         batches = _batches(enumerate(images), self.batch_size)
         return [found for batch in batches for found in self._detect([pixels for _, pixels in batch])]
 
     def _found(self, batch: Sequence[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
-        """The images of a batch, each with its results."""
+        """Yield the images of a batch, each with its results."""
         answers = self._detect([pixels for _, pixels in batch])
         for (image, _), found in zip(batch, answers, strict=True):
             yield image, found.all_results(image.id)
 
     def _detect(self, batch: Sequence[Pixels]) -> list[Detections]:
-        """One pass of images of one size through the network."""
+        """Run one pass of images of one size through the network."""
         answers = self._run(batch)
         if self._settings.tiles == "auto" and (parts := self._tiles(batch[0])):
             answers = [self._with_tiles(image, whole, parts) for image, whole in zip(batch, answers, strict=True)]
@@ -300,11 +300,11 @@ class Predictor:
     def _with_tiles(self, image: Pixels, whole: Detections, parts: list[Tile]) -> Detections:
         """Join detections of the whole image and of its tiles."""
         batches = _batches(((part, part.of(image)) for part in parts), self.batch_size)
-        found = [one for batch in batches for one in self._run([pixels for _, pixels in batch])]
+        found = [detections for batch in batches for detections in self._run([pixels for _, pixels in batch])]
         return join_tiles(whole, list(zip(parts, found, strict=True)))
 
     def _run(self, images: Sequence[Pixels]) -> list[Detections]:
-        """Images of one size through the network, with keypoint scores as they are."""
+        """Run images of one size through the network; keypoint scores are not calibrated."""
         least = MIN_SCORE if self._settings.min_score is None else self._settings.min_score
         try:
             return detect(self.model, images, self._device, min_score=least, categories=self.categories)
@@ -335,7 +335,7 @@ def default_batch_size(device: torch.device) -> int:
 
 
 def _decoded(images: Sequence[Image], root: Path, ahead: int) -> Iterator[tuple[Image, Pixels]]:
-    """Images with their pixels, in order; up to `ahead` of them are decoded while the caller computes."""
+    """Yield images with their pixels in order; up to `ahead` of them are decoded while the caller computes."""
 
     def read(image: Image) -> Pixels:
         return read_image(root / image.file_name, size=(image.width, image.height))
@@ -357,12 +357,12 @@ def _decoded(images: Sequence[Image], root: Path, ahead: int) -> Iterator[tuple[
 
 
 def _pinned(pixels: Pixels) -> Pixels:
-    """The same pixels in memory that a GPU reads by itself, six times as fast."""
+    """Return the same pixels in pinned memory, which a GPU reads directly and six times as fast."""
     return torch.from_numpy(pixels).pin_memory().numpy()
 
 
 def _batches(images: Iterable[tuple[T, Pixels]], size: int) -> Iterator[list[tuple[T, Pixels]]]:
-    """Neighbours of equal size, `size` at most together: another's padding would change what is found."""
+    """Group consecutive images of equal size, at most `size` per group: padding would change the detections."""
     for _, alike in itertools.groupby(images, key=lambda pair: pair[1].shape):
         while batch := list(itertools.islice(alike, size)):
             yield batch

@@ -1,8 +1,8 @@
-"""Keypoint scores that are probabilities: two numbers per keypoint on the heat map's raw maximum.
+"""Calibration of keypoint scores to probabilities, with two numbers per keypoint applied to the heat map's maximum.
 
-A keypoint's score is the probability that the point is visible and within alpha L of its place, given that the vehicle
-is there. Platt's method (1999): the logistic regression of "visible and near enough" on the raw maximum, fitted on
-validation data, per keypoint. The fit lies in a file beside the weights and names them by digest.
+A keypoint's score is the probability that the point is visible and within alpha L of its true position, given that the
+vehicle exists. The method is Platt's (1999): a logistic regression of "visible and close enough" on the raw maximum,
+per keypoint, fitted to validation data. The fit is stored in a file beside the weights, which it identifies by digest.
 """
 
 from collections.abc import Mapping
@@ -23,19 +23,20 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class CalibrationRules:
-    """Rules of a correct detection, and the fit of its probability."""
+    """Rules for correct detections, and the fit of their probability."""
 
     version: int = 1
     """Version of the file."""
     alpha: float = 0.1
-    """Largest distance of a correct keypoint, as a share of the longer edge of the box."""
+    """Maximum error of a correct keypoint, as a share of the longer edge of the box."""
     iou: float = 0.6
-    """IoU of a correct box."""
+    """Minimum IoU of a correct box."""
     prior_weight: float = 1.0
-    """Weight with which each keypoint's two numbers are pulled to those of all keypoints together, in observations. A
-    keypoint that is rarely seen takes theirs, one that is seen hundreds of times its own."""
+    """Weight with which the two numbers of a keypoint are pulled towards those of all keypoints together, in
+    observations. A rarely visible keypoint takes the common values; one that is visible hundreds of times has its
+    own."""
     fit_steps: int = 50
-    """Steps of the fit."""
+    """Number of steps of the fit."""
 
 
 CALIBRATION_RULES: Final = CalibrationRules()
@@ -43,23 +44,23 @@ CALIBRATION_RULES: Final = CalibrationRules()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ScoreCalibration:
-    """score = 1 / (1 + exp(-(scale x raw maximum + offset)))"""
+    """Calibration: score = 1 / (1 + exp(-(scale x raw maximum + offset)))."""
 
     scale: Array
-    """(33,) never negative: a higher maximum is never a lower score."""
+    """(33,) scale, never negative: a higher maximum never gives a lower score."""
     offset: Array
-    """(33,) added to the scaled maximum."""
+    """(33,) value added to the scaled maximum."""
     fitted_on: dict[str, Any]
-    """Data that the calibration was fitted on, in words and counts for people."""
+    """Data of the fit, as words and counts for people."""
 
     def __call__(self, points: Array) -> Array:
-        """(N, 33, 3) points as `skope.detector` gives them -> the same with calibrated scores."""
+        """Return a copy of (N, 33, 3) points of `skope.detector` with calibrated scores."""
         scores = sigmoid(self.scale * raw_maxima(points[..., 2]) + self.offset)
         return np.concatenate([points[..., :2], scores[..., None]], axis=-1)
 
 
 def sigmoid(x: Array) -> Array:
-    """1 / (1 + exp(-x)), without overflow."""
+    """Return 1 / (1 + exp(-x)) without overflow."""
     return np.asarray(0.5 * (1 + np.tanh(0.5 * np.asarray(x, dtype=np.float64))))
 
 
@@ -85,7 +86,7 @@ def fit(raw: Array, right: NDArray[np.bool_], fitted_on: dict[str, Any]) -> Scor
     x, y = np.asarray(raw, dtype=np.float64), _targets(right)
     together = _logistic(x.reshape(-1, 1), _targets(right.reshape(-1, 1)), np.zeros((2, 1)), 1e-6)
     scale, offset = _logistic(x, y, np.repeat(together, x.shape[1], axis=1), CALIBRATION_RULES.prior_weight)
-    # A negative scale would mean that higher maxima are less often right: then the base rate alone is used.
+    # A negative scale would mean that higher maxima are less often correct. In that case only the base rate is used.
     useless = scale <= 0
     rate = y.mean(axis=0)
     scale = np.where(useless, 0.0, scale)
@@ -93,23 +94,24 @@ def fit(raw: Array, right: NDArray[np.bool_], fitted_on: dict[str, Any]) -> Scor
     return ScoreCalibration(scale=scale, offset=offset, fitted_on=fitted_on)
 
 
-def fit_one(raw: Array, right: NDArray[np.bool_]) -> tuple[float, float]:
-    """Scale, never negative, and offset of one logistic regression of outcomes (N,) on raw scores (N,)."""
+def fit_logistic(raw: Array, right: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return scale (never negative) and offset of a logistic regression of outcomes (N,) on raw scores (N,)."""
     ab = _logistic(raw.reshape(-1, 1), _targets(right.reshape(-1, 1)), np.zeros((2, 1)), 1e-6)
     return max(float(ab[0, 0]), 0.0), float(ab[1, 0])
 
 
 def _targets(right: NDArray[np.bool_]) -> Array:
-    """Platt's targets for (N, M) outcomes: not quite 0 and 1, so that a clean separation gives a finite fit."""
+    """Return Platt's targets for (N, M) outcomes: not exactly 0 and 1, so that a clean separation has a finite fit."""
     n = right.sum(axis=0)
     high, low = (n + 1) / (n + 2), 1 / (len(right) - n + 2)
     return np.asarray(np.where(right, high, low))
 
 
 def _logistic(x: Array, y: Array, start: Array, hold: float) -> Array:
-    """(2, M) slope and intercept of M logistic regressions of (N, M) y on x, held to `start` as by `hold` of evidence.
+    """Fit M logistic regressions of (N, M) y on x; return (2, M) slopes and intercepts.
 
-    Newton's method with halved steps where a full one does not lower the loss.
+    The values are pulled to `start` with weight `hold`. The solver is Newton's method; a step is halved if it does not
+    lower the loss.
     """
 
     def loss(ab: Array) -> Array:
@@ -141,7 +143,7 @@ def _logistic(x: Array, y: Array, start: Array, hold: float) -> Array:
 
 
 def log_loss(score: Array, right: NDArray[np.bool_]) -> float:
-    """Mean negative logarithm of the probability given to what happened; lower is better."""
+    """Return the mean negative log-likelihood of the outcomes; lower is better."""
     p = np.clip(score, 1e-12, 1 - 1e-12)
     return float(-np.mean(np.where(right, np.log(p), np.log(1 - p))))
 
@@ -150,7 +152,7 @@ def log_loss(score: Array, right: NDArray[np.bool_]) -> float:
 
 
 def path_beside(weights: Path) -> Path:
-    """Path of a checkpoint's calibration."""
+    """Return the path of a checkpoint's calibration."""
     return weights.with_suffix(".calibration.json")
 
 
@@ -174,12 +176,12 @@ def check_calibration_free(weights: Path, work: Mapping[str, Any]) -> None:
 def write(
     weights: Path, calibration: ScoreCalibration, work: Mapping[str, Any], scheme: str = keypoints.SCHEME
 ) -> Path:
-    """Write a calibration beside the checkpoint that it is for.
+    """Write a calibration beside its checkpoint.
 
     Args:
         weights: The checkpoint.
         calibration: Its calibration.
-        work: What identifies the calibration, as `work_of` gives it.
+        work: Identity of the calibration, as returned by `work_of`.
         scheme: Name of the keypoint scheme.
 
     Returns:
@@ -194,7 +196,7 @@ def write(
 
 
 def read(weights: Path, scheme: str = keypoints.SCHEME) -> ScoreCalibration | None:
-    """The calibration beside a checkpoint; None without one, and a UserError if it was made for other weights."""
+    """Return the calibration beside a checkpoint, or None; raise a UserError if it is for other weights."""
     path = path_beside(weights)
     if not path.is_file():
         return None

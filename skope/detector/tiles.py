@@ -1,4 +1,4 @@
-"""Tiles for what is too small in the whole image: overlapping parts of it go through the network unscaled too.
+"""Tiles for objects that are too small in the whole image: overlapping parts that the network sees unscaled.
 
 The idea is that of slicing-aided inference (Akyon et al., 2022).
 """
@@ -19,18 +19,18 @@ from skope.detections import Detections, RoadUserDetections
 
 @dataclass(frozen=True)
 class TileLimits:
-    """When an image is cut into tiles, and how their detections are merged."""
+    """Rules for cutting an image into tiles and merging their detections."""
 
     worth_factor: float = 1.25
-    """Factor over the size inside the network from which an image is cut into tiles."""
+    """Factor over the size inside the network above which an image is cut into tiles."""
     overlap: float = 0.15
-    """Least overlap of neighbours, as a share of their sides."""
+    """Minimum overlap of neighbouring tiles, as a share of their sides."""
     edge_px: float = 3.0
-    """A box that ends this close to an edge of its tile is cut by the tile, pixels."""
+    """Distance from an edge of its tile below which a box counts as cut by the tile, pixels."""
     same_iou: float = 0.5
-    """IoU above which boxes are of one vehicle, as inside the network."""
+    """IoU above which boxes belong to the same vehicle, as inside the network."""
     inside_share: float = 0.7
-    """A box with this share inside a vehicle that its tile cuts is a part of it."""
+    """Minimum share of a box inside a vehicle cut by its tile for the box to count as a part of that vehicle."""
 
 
 TILE_LIMITS: Final = TileLimits()
@@ -42,7 +42,7 @@ _Scored: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class Tile:
-    """A part of an image, pixels."""
+    """Part of an image, pixels."""
 
     x: int
     y: int
@@ -50,18 +50,18 @@ class Tile:
     height: int
 
     def of(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The part of (H, W, 3) pixels."""
+        """Return the part of (H, W, 3) pixels."""
         return image[self.y : self.y + self.height, self.x : self.x + self.width]
 
 
 def tiles_of(width: int, height: int, *, short: int, long: int) -> list[Tile]:
-    """Tiles that cover an image and overlap; none where the image enters the network nearly unscaled.
+    """Return overlapping tiles that cover an image; none if the image enters the network nearly unscaled.
 
     Args:
-        width: Of the image, pixels.
-        height: Of the image, pixels.
+        width: Width of the image, pixels.
+        height: Height of the image, pixels.
         short: Short side of images inside the network, pixels.
-        long: Most that their long side has there, pixels.
+        long: Maximum long side of images inside the network, pixels.
     """
     if min(width, height) <= TILE_LIMITS.worth_factor * short and max(width, height) <= TILE_LIMITS.worth_factor * long:
         return []
@@ -71,23 +71,23 @@ def tiles_of(width: int, height: int, *, short: int, long: int) -> list[Tile]:
 
 
 def _begins(whole: int, part: int) -> list[int]:
-    """Begins of parts that cover a side evenly, each a share of `TILE_LIMITS.overlap` or more over the next one."""
+    """Return the starts of parts that cover a side evenly and overlap by at least `TILE_LIMITS.overlap`."""
     count = max(1, math.ceil((whole - TILE_LIMITS.overlap * part) / ((1 - TILE_LIMITS.overlap) * part)))
     return [round(i * (whole - part) / max(1, count - 1)) for i in range(count)]
 
 
 def join_tiles(whole: Detections, parts: Sequence[tuple[Tile, Detections]]) -> Detections:
-    """Detections in the whole image and in its tiles, (in pixels of the tiles), as those of one image.
+    """Merge the detections in the whole image and in its tiles (in pixels of the tiles) to those of one image.
 
-    Vehicles that a tile cuts are left to the others; of several boxes on a vehicle the best one stays. So it is with
-    the other road users of each category.
+    Vehicles that a tile cuts are left to the other parts. Of several boxes on a vehicle, the best is kept. The other
+    road users of each category are merged in the same way.
     """
     found = [whole, *(_whole_vehicles(tile, part, whole) for tile, part in parts)]
     users = [whole.road_users, *(_whole_road_users(tile, part.road_users, whole) for tile, part in parts)]
-    rectangles = np.concatenate([one.boxes_xyxy for one in found])
-    scores = np.concatenate([one.scores for one in found])
+    rectangles = np.concatenate([part.boxes_xyxy for part in found])
+    scores = np.concatenate([part.scores for part in found])
     kept = nms(torch.from_numpy(rectangles), torch.from_numpy(scores), TILE_LIMITS.same_iou).numpy()
-    points = np.concatenate([one.keypoints for one in found])
+    points = np.concatenate([part.keypoints for part in found])
     road_users = _best_of_each(RoadUserDetections.together(users))
     return Detections(rectangles[kept], scores[kept], points[kept], whole.size, road_users=road_users)
 
@@ -102,7 +102,7 @@ def _best_of_each(users: RoadUserDetections) -> RoadUserDetections:
 
 
 def _whole_vehicles(tile: Tile, part: Detections, whole: Detections) -> Detections:
-    """The vehicles that a tile shows uncut, in pixels of the whole image."""
+    """Return the vehicles that a tile does not cut, in pixels of the whole image."""
     corner = np.array([tile.x, tile.y], dtype=np.float64)
     rectangles = part.boxes_xyxy + np.tile(corner, 2)
     kept = _uncut(tile, whole.size, (rectangles, part.scores), (whole.boxes_xyxy, whole.scores))
@@ -111,24 +111,27 @@ def _whole_vehicles(tile: Tile, part: Detections, whole: Detections) -> Detectio
 
 
 def _whole_road_users(tile: Tile, part: RoadUserDetections, whole: Detections) -> RoadUserDetections:
-    """The road users that a tile shows uncut, in pixels of the whole image."""
+    """Return the road users that a tile does not cut, in pixels of the whole image."""
     moved = replace(part, boxes_xyxy=part.boxes_xyxy + np.tile(np.array([tile.x, tile.y], dtype=np.float64), 2))
     kept = np.zeros(len(part), dtype=bool)
     for category in np.unique(part.categories):
-        own, others = moved.categories == category, whole.road_users.of(whole.road_users.categories == category)
-        seen = (moved.boxes_xyxy[own], moved.scores[own])
-        kept[own] = _uncut(tile, whole.size, seen, (others.boxes_xyxy, others.scores))
+        of_category, whole_users = (
+            moved.categories == category,
+            whole.road_users.of(whole.road_users.categories == category),
+        )
+        seen = (moved.boxes_xyxy[of_category], moved.scores[of_category])
+        kept[of_category] = _uncut(tile, whole.size, seen, (whole_users.boxes_xyxy, whole_users.scores))
     return moved.of(kept)
 
 
 def _uncut(tile: Tile, size: tuple[int, int], part: _Scored, whole: _Scored) -> NDArray[np.bool_]:
-    """(N,) whether a tile's box is neither cut by its edge nor part of a surer box of the whole image that it cuts.
+    """Return (N,) whether a tile's box is neither cut nor part of a higher-scoring box that the tile cuts.
 
     Args:
         tile: The tile.
         size: Width and height of the whole image, pixels.
-        part: What the tile shows, in pixels of the whole image.
-        whole: What the whole image shows, of the same category.
+        part: Detections of the tile, in pixels of the whole image.
+        whole: Detections of the whole image of the same category.
     """
     rectangles, scores = part
     corner = np.array([tile.x, tile.y], dtype=np.float64)

@@ -1,2 +1,1 @@
-"""Backends that compute the detector's costly parts: torch, or a runtime that is faster on CPUs; in which number
-format."""
+"""Backends for the costly parts of the detector: torch or a faster runtime for CPUs, in several number formats."""

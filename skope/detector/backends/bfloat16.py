@@ -1,11 +1,11 @@
-"""The detector's costly parts in bfloat16, everything that is a coordinate in float32.
+"""Run the costly parts of the detector in bfloat16 and all coordinates in float32.
 
-Left to autocast alone, boxes would be decoded from bfloat16: 8 bits of mantissa place a corner at column 1000 to 4
-pixels. Here the convolutions of backbone, proposals and heads multiply in bfloat16 and answer in float32; boxes,
-suppression, the upsampling of heat maps and their maxima stay as they are.
+With autocast alone, boxes would be decoded from bfloat16, whose 8-bit mantissa resolves 4 pixels at column 1000. Here
+the convolutions of backbone, proposals and heads multiply in bfloat16 and return float32. Boxes, suppression, the
+upsampling of heat maps and their maxima stay in float32.
 
-On a GPU reading and writing memory takes longer than the products, so that convolutions add their biases and
-the block's input and take the positive part before they write (cuDNN's fused convolutions).
+On a GPU, memory access takes longer than multiplication. Convolutions therefore add their bias and the input of the
+block, and take the positive part, before they write the result (fused convolutions of cuDNN).
 """
 
 from collections import OrderedDict
@@ -21,7 +21,7 @@ from skope.detector.backends.network_parts import HandedProposals, PyramidWithPr
 
 
 def convert(model: KeypointRCNN) -> None:
-    """Let the costly parts of `model` multiply in bfloat16 from now on; their weights are rounded to it for good."""
+    """Make the costly parts of `model` multiply in bfloat16; their weights are rounded permanently."""
     multiply_in(model)
     heads = model.roi_heads
     model.backbone = _Pyramid(model)
@@ -31,7 +31,7 @@ def convert(model: KeypointRCNN) -> None:
 
 
 class _InBfloat16(nn.Module):
-    """A module that computes its products in bfloat16; input and output are float32."""
+    """Module that computes its products in bfloat16; input and output are float32."""
 
     def __init__(self, inner: nn.Module) -> None:
         super().__init__()
@@ -44,7 +44,7 @@ class _InBfloat16(nn.Module):
 
 
 class _Pyramid(PyramidWithProposals):
-    """An image's feature maps, and the scores and offsets of the anchors on them."""
+    """Feature maps of an image, with the scores and offsets of the anchors on them."""
 
     def __init__(self, model: KeypointRCNN) -> None:
         super().__init__(model.backbone.out_channels)
@@ -55,10 +55,11 @@ class _Pyramid(PyramidWithProposals):
         with torch.autocast(images.device.type, torch.bfloat16):
             features = self.fpn(self.body(images))
             scores, offsets = self.head(list(features.values()))
-        self.proposals = ([one.float() for one in scores], [one.float() for one in offsets])
+        self.proposals = ([level.float() for level in scores], [level.float() for level in offsets])
         # Pooling needs maps with channels first; converting here avoids a conversion per pooling.
         return OrderedDict(
-            (name, one.to(torch.float32, memory_format=torch.contiguous_format)) for name, one in features.items()
+            (name, feature_map.to(torch.float32, memory_format=torch.contiguous_format))
+            for name, feature_map in features.items()
         )
 
 
@@ -68,7 +69,7 @@ def _body(body: Any) -> nn.Module:
 
 
 class _InTheirOrder(nn.Module):
-    """torchvision's layers as they are."""
+    """Layers of torchvision, unchanged."""
 
     def __init__(self, body: nn.Module) -> None:
         super().__init__()
@@ -79,7 +80,7 @@ class _InTheirOrder(nn.Module):
 
 
 class _ResNet(nn.Module):
-    """torchvision's ResNet with fused convolutions."""
+    """ResNet of torchvision with fused convolutions."""
 
     def __init__(self, body: Any) -> None:
         super().__init__()
@@ -96,7 +97,7 @@ class _ResNet(nn.Module):
 
 
 class _Block(nn.Module):
-    """A residual block of two or three convolutions."""
+    """Residual block of two or three convolutions."""
 
     def __init__(self, block: BasicBlock | Bottleneck) -> None:
         super().__init__()
@@ -113,7 +114,7 @@ class _Block(nn.Module):
 
 
 def _convolved(x: Tensor, layer: nn.Conv2d, added: Tensor | None = None) -> Tensor:
-    """The positive part of a convolution, to which another map may be added."""
+    """Positive part of a convolution, to which another map can be added."""
     geometry: Any = (layer.stride, layer.padding, layer.dilation, layer.groups)
     if x.is_cuda and torch.version.cuda is not None:
         if added is None:
@@ -124,7 +125,7 @@ def _convolved(x: Tensor, layer: nn.Conv2d, added: Tensor | None = None) -> Tens
 
 
 def _round(module: nn.Module) -> None:
-    """Round weights, and put them in the order in which they are multiplied, once: each call would do so again."""
+    """Round the weights once and store them in the order of the multiplication, so that calls need not do it."""
     for layer in module.modules():
         if isinstance(layer, nn.Conv2d):
             layer.to(torch.bfloat16).to(memory_format=torch.channels_last)

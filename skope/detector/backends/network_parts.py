@@ -1,12 +1,12 @@
-"""The detector's costly parts, apart from what torchvision does between them, for another runtime to compute.
+"""Costly parts of the detector as separate graphs, for another runtime to compute.
 
-Three graphs hold nearly all of the arithmetic: from the image to the pyramid and its proposals, from the regions on
-boxes to their classes and offsets, from the regions on vehicles to their heat maps. Anchors, suppression, decoding of
-boxes and the upsampling of heat maps stay torchvision's own.
+Three graphs contain nearly all of the arithmetic: from the image to the pyramid and its proposals, from box regions to
+classes and offsets, and from vehicle regions to heat maps. Anchors, suppression, decoding of boxes and the upsampling
+of heat maps remain torchvision's.
 
-Pooling of regions (RoIAlign; He et al., 2017) is computed here: on a CPU five times as fast as torchvision's, which
-uses one thread. Every pooled value is a weighted sum of values of one feature map, with the same weights for all
-channels. With channels last that is what `embedding_bag` computes: it gathers whole rows of memory, in all threads.
+This module also pools regions (RoIAlign; He et al., 2017). On a CPU it is five times as fast as torchvision, which uses
+one thread. Every pooled value is a weighted sum of values of one feature map, with the same weights for all channels.
+With channels last, `embedding_bag` computes this: it gathers whole rows of memory in all threads.
 """
 
 import io
@@ -30,20 +30,20 @@ class ExportShape:
     """Shapes and version of exported graphs."""
 
     canonical_px: tuple[int, int] = (224, 4)
-    """A region of this side is pooled from the level of this number, as in torchvision."""
+    """Size of a region that is pooled from the level with this number, as in torchvision."""
     opset: int = 17
     """Version of ONNX's operators."""
     pyramid_levels: int = 5
-    """Levels of the feature pyramid."""
+    """Number of levels of the feature pyramid."""
     keypoint_factor: int = 2
-    """torchvision's keypoint predictor enlarges its maps by this factor."""
+    """Factor by which torchvision's keypoint predictor enlarges its maps."""
 
 
 EXPORT_SHAPE: Final = ExportShape()
 
 
 class RegionPooling(nn.Module):
-    """`MultiScaleRoIAlign` with the same arguments and, up to rounding, the same answer."""
+    """Replacement for `MultiScaleRoIAlign` with the same arguments and, up to rounding, the same result."""
 
     def __init__(self, pool: MultiScaleRoIAlign) -> None:
         super().__init__()
@@ -65,21 +65,23 @@ class RegionPooling(nn.Module):
         """
         maps = [features[name] for name in self._names]
         tallest = max(height for height, _ in image_shapes)
-        strides = [2 ** round(math.log2(tallest / one.shape[2])) for one in maps]
+        strides = [2 ** round(math.log2(tallest / feature_map.shape[2])) for feature_map in maps]
         first, last = (int(math.log2(stride)) for stride in (strides[0], strides[-1]))
         level_of = LevelMapper(first, last, *EXPORT_SHAPE.canonical_px)(list(boxes))
-        image_of = torch.repeat_interleave(torch.tensor([len(one) for one in boxes]))
+        image_of = torch.repeat_interleave(torch.tensor([len(image_boxes) for image_boxes in boxes]))
         together = torch.cat(list(boxes))
         cells = self.output_size[0] * self.output_size[1]
         out = torch.empty(len(together), cells, maps[0].shape[1])
-        for level, (one, stride) in enumerate(zip(maps, strides, strict=True)):
+        for level, (feature_map, stride) in enumerate(zip(maps, strides, strict=True)):
             here = torch.where(level_of == level)[0]
             if len(here):
-                out[here] = self._of_level(one, together[here] / stride, image_of[here]).view(len(here), cells, -1)
+                out[here] = self._of_level(feature_map, together[here] / stride, image_of[here]).view(
+                    len(here), cells, -1
+                )
         return out.permute(0, 2, 1).reshape(len(together), maps[0].shape[1], *self.output_size)
 
     def _of_level(self, features: Tensor, regions: Tensor, image_of: Tensor) -> Tensor:
-        """(K * cells, C) means over the samples of each cell, of (K, 4) regions in a map's own pixels."""
+        """Return (K * cells, C) means over the samples of each cell of (K, 4) regions, in pixels of the map."""
         channels, height, width = features.shape[1:]
         rows = features.permute(0, 2, 3, 1).contiguous().view(-1, channels)
         down, across = self.output_size
@@ -96,7 +98,7 @@ class RegionPooling(nn.Module):
         )
 
     def _taps(self, begin: Tensor, extent: Tensor, cells: int, size: int) -> tuple[Tensor, Tensor]:
-        """Each sample lies between two pixels of an axis: their (K, cells, 2 * samples) indices and shares."""
+        """Return (K, cells, 2 * samples) indices and weights of the two pixels of an axis around each sample."""
         count = cells * self._samples
         at = begin[:, None] + (torch.arange(count) + 0.5) * extent[:, None] / count
         inside = (at >= -1.0) & (at <= size)
@@ -110,31 +112,31 @@ class RegionPooling(nn.Module):
 
 
 class PyramidWithProposals(nn.Module):
-    """In place of the detector's backbone: notes what the proposals' head would answer to its maps.
+    """Replacement for the detector's backbone that stores the output of the proposals' head.
 
-    `forward` of those that compute it gives the feature maps of (N, 3, H, W) images, by name.
+    In subclasses, `forward` returns the feature maps of (N, 3, H, W) images by name.
     """
 
     def __init__(self, out_channels: int) -> None:
         super().__init__()
         self.out_channels = out_channels
         self.proposals: tuple[list[Tensor], list[Tensor]] = ([], [])
-        """Scores and offsets of the anchors for the images that were seen last."""
+        """Return scores and offsets of the anchors for the most recent images."""
 
 
 class HandedProposals(nn.Module):
-    """In place of the proposals' head: answers what the pyramid has computed."""
+    """Replacement for the proposals' head that returns what the pyramid has computed."""
 
     def __init__(self, pyramid: PyramidWithProposals) -> None:
         super().__init__()
-        self._pyramid = (pyramid,)  # in a tuple, or it would be a part of this module
+        self._pyramid = (pyramid,)  # in a tuple, so that it is not a submodule
 
     def forward(self, features: list[Tensor]) -> tuple[list[Tensor], list[Tensor]]:
         return self._pyramid[0].proposals
 
 
 RunNetwork = Callable[[Floats32], list[Floats32]]
-"""Computes a part: its input, (N, ...), to its outputs. They may be overwritten by the next call."""
+"""Function that computes a part: input (N, ...) to outputs, which the next call may overwrite."""
 
 PYRAMID_NAME: Final = "pyramid"
 BOX_HEAD: Final = "box_head"
@@ -145,16 +147,16 @@ INPUT_NAME: Final = "x"
 
 @dataclass(frozen=True)
 class NetworkPart:
-    """A part of the network."""
+    """Part of the network."""
 
     module: nn.Module
     shape: tuple[int, ...]
-    """Of its input; -1 stands for any number."""
+    """Shape of its input; -1 for a free axis."""
     steady: bool = True
-    """Whether its input mostly has one size, or one of few."""
+    """Whether its input usually has one of a few sizes."""
 
     def to_onnx(self) -> bytes:
-        """The part as an ONNX model with one input, `INPUT_NAME`."""
+        """Return the part as an ONNX model with one input, `INPUT_NAME`."""
         example = torch.zeros([EXAMPLE_SIZES.get(i, 1) if size < 0 else size for i, size in enumerate(self.shape)])
         free = {i: f"size{i}" for i, size in enumerate(self.shape) if size < 0}
         buffer = io.BytesIO()
@@ -174,11 +176,11 @@ class NetworkPart:
 
 
 EXAMPLE_SIZES: Final = {0: 1, 2: 128, 3: 192}
-"""Sizes of the example along the axes that are free: images in a batch or regions, height and width."""
+"""Sizes of the example along the free axes: number of images or regions, height and width."""
 
 
 def parts_of(model: KeypointRCNN) -> dict[str, NetworkPart]:
-    """The parts of a model on the CPU, by name."""
+    """Return the parts of a model on the CPU, by name."""
     heads = model.roi_heads
     channels = model.backbone.out_channels
     box, keypoint = heads.box_roi_pool.output_size, heads.keypoint_roi_pool.output_size
@@ -194,7 +196,7 @@ def parts_of(model: KeypointRCNN) -> dict[str, NetworkPart]:
 
 
 def hand_over(model: KeypointRCNN, runs: Mapping[str, RunNetwork]) -> None:
-    """Let `runs` compute the parts of a model from now on; its own layers are given up."""
+    """Make `runs` compute the parts of a model; its own layers are removed."""
     heads = model.roi_heads
     pyramid = _HandedPyramid(runs[PYRAMID_NAME], model.backbone.out_channels)
     model.backbone, model.rpn.head = pyramid, HandedProposals(pyramid)
@@ -205,7 +207,7 @@ def hand_over(model: KeypointRCNN, runs: Mapping[str, RunNetwork]) -> None:
 
 
 class _Pyramid(nn.Module):
-    """An image's feature maps, then the scores, then the offsets of the anchors on each of them."""
+    """Return an image's feature maps, then the scores and then the offsets of the anchors on each map."""
 
     def __init__(self, model: KeypointRCNN) -> None:
         super().__init__()
@@ -229,8 +231,8 @@ class _HandedPyramid(PyramidWithProposals):
             for i in range(0, 3 * EXPORT_SHAPE.pyramid_levels, EXPORT_SHAPE.pyramid_levels)
         )
         self.proposals = (scores, offsets)
-        # As the pooling of regions wants them, which happens up to three times.
-        rows = [one.contiguous(memory_format=torch.channels_last) for one in features]
+        # The pooling of regions, which happens up to three times, needs this layout.
+        rows = [feature_map.contiguous(memory_format=torch.channels_last) for feature_map in features]
         return OrderedDict(zip(("0", "1", "2", "3", "pool"), rows, strict=True))
 
 
@@ -265,6 +267,6 @@ class _Upsampled(nn.Module):
 
 
 def _computed(run: RunNetwork, x: Tensor) -> list[Tensor]:
-    if not len(x):  # runtimes reject empty inputs: one input gives the shapes of the outputs
+    if not len(x):  # Runtimes reject empty inputs: a single input gives the shapes of the outputs.
         return [out[:0] for out in _computed(run, x.new_zeros(1, *x.shape[1:]))]
     return [torch.from_numpy(array) for array in run(x.contiguous().numpy())]

@@ -1,8 +1,10 @@
-"""Choose what computes the costly parts: torch, or a runtime that is faster on the CPU; and in which number format.
+"""Choose the backend for the costly parts (torch or a faster runtime for CPUs) and its number format.
 
-In eight bits, inputs are rounded to 256 steps over their layer's range, weights to 255 over each output channel's, and
-sums are exact. The rounding is written as ONNX nodes that quantise and dequantise, which runtimes turn into integer
-arithmetic. For images of one size, anchors are computed once, and images are normalised after they are resized.
+With int8, inputs are rounded to 256 steps over the range of their layer, weights to 255 steps over that of each output
+channel, and sums are exact. The rounding is written as ONNX nodes that quantise and dequantise, which runtimes convert
+to integer arithmetic.
+
+For images of one size, anchors are computed once. Images are normalised after resizing.
 """
 
 from collections.abc import Mapping
@@ -27,17 +29,17 @@ from skope.terminal.console import Console
 
 
 def resize_first(model: KeypointRCNN) -> None:
-    """Let a model resize images before it normalises them from now on."""
+    """Make a model resize images before it normalises them."""
     model.transform = ResizeFirst(model.transform)
 
 
 def keep_anchors(model: KeypointRCNN) -> None:
-    """Let a model keep the anchors of the last size of images from now on."""
+    """Make a model keep the anchors for the most recent image size."""
     model.rpn.anchor_generator = KeptAnchors(model.rpn.anchor_generator)
 
 
 class ResizeFirst(GeneralizedRCNNTransform):  # type: ignore[misc]  # torchvision has no types
-    """torchvision's transform in the other order, with the same answer up to rounding: fewer pixels are normalised."""
+    """torchvision's transform in reverse order, with the same result up to rounding: fewer pixels are normalised."""
 
     def __init__(self, transform: GeneralizedRCNNTransform) -> None:
         super().__init__(
@@ -45,17 +47,17 @@ class ResizeFirst(GeneralizedRCNNTransform):  # type: ignore[misc]  # torchvisio
         )
 
     def normalize(self, image: Tensor) -> Tensor:
-        """The image as it is: `resize` normalises."""
+        """Return the image unchanged, because `resize` normalises it."""
         return image
 
     def resize(self, image: Tensor, target: Any = None) -> tuple[Tensor, Any]:
-        """The image (3, h, w) as the network takes it, of (3, H, W) from 0 to 1, and the target."""
+        """Return the image (3, h, w) for the network, from (3, H, W) with values from 0 to 1, and the target."""
         resized, moved = super().resize(image, target)
         return super().normalize(resized), moved
 
 
 class KeptAnchors(nn.Module):
-    """`AnchorGenerator`'s anchors, worked out again only where the images have another size."""
+    """`AnchorGenerator` that computes the anchors again only if the size of the images changes."""
 
     def __init__(self, generator: AnchorGenerator) -> None:
         super().__init__()
@@ -63,14 +65,14 @@ class KeptAnchors(nn.Module):
         self._kept: tuple[Any, list[Tensor]] = (None, [])
 
     def forward(self, images: ImageList, maps: list[Tensor]) -> list[Tensor]:
-        """The (A, 4) anchors of each image on its feature maps."""
+        """Return the (A, 4) anchors of each image on its feature maps."""
         first = maps[0]
         key = (
             images.tensors.shape,
             len(images.image_sizes),
             first.dtype,
             first.device,
-            *(one.shape[2:] for one in maps),
+            *(feature_map.shape[2:] for feature_map in maps),
         )
         if key != self._kept[0]:
             self._kept = (key, self._generator(images, maps))
@@ -79,21 +81,21 @@ class KeptAnchors(nn.Module):
 
 @dataclass(frozen=True)
 class Int8Steps:
-    """Steps of int8 numbers."""
+    """Numbers of steps of int8."""
 
     inputs: int = 255
-    """Steps of an input."""
+    """Number of steps of an input."""
     weights: int = 127
-    """Steps of a weight to either side."""
+    """Number of steps of a weight to either side of 0."""
     least: float = 1e-12
-    """Least step of a weight: a channel of zeros has none."""
+    """Minimum step of a weight, for channels that contain only zeros."""
 
 
 INT8_STEPS: Final = Int8Steps()
 
 
 def convert(model: nn.Module, ranges: Ranges) -> None:
-    """Put rounding layers in the place of those that have ranges."""
+    """Replace layers that have ranges by rounding layers."""
     for name, layer in int8_ranges.rounded_layers(model).items():
         parent, _, leaf = name.rpartition(".")
         setattr(model.get_submodule(parent), leaf, _Rounded(layer, *ranges[name]))
@@ -110,7 +112,7 @@ class _Rounded(nn.Module):
     def __init__(self, layer: nn.Conv2d | nn.Linear, low: float, high: float) -> None:
         super().__init__()
         self.layer = layer
-        low, high = min(low, 0.0), max(high, 0.0)  # the padding's zeros have to be exact
+        low, high = min(low, 0.0), max(high, 0.0)  # zeros of the padding must be exact
         self._step = max(high - low, INT8_STEPS.least) / INT8_STEPS.inputs
         self._zero = round(-low / self._step)
         largest = layer.weight.detach().flatten(1).abs().amax(1)
@@ -146,19 +148,19 @@ def prepare(
 
     Args:
         model: On `device`, in evaluation mode; changed in place.
-        metadata: Metadata of its checkpoint.
+        metadata: Metadata of the model's checkpoint.
         device: Device of the other parts.
-        backend: `auto`, `torch`, or a key of `RUNTIME_CLASSES`. `auto` is OpenVINO on a CPU if it is installed.
-        precision: Number format of the products: `float32`, `bfloat16`, `int8`, or `auto`, the fastest that backend,
-            processor and checkpoint have.
-        one_size: Whether all images have one of a few sizes, which a runtime can prepare for.
+        backend: `auto`, `torch`, or a key of `RUNTIME_CLASSES`. `auto` selects OpenVINO on a CPU if it is installed.
+        precision: Number format of the products: `float32`, `bfloat16`, `int8`, or `auto` for the fastest one that
+            backend, processor and checkpoint support.
+        one_size: Whether all images have one of a few sizes, so that a runtime can prepare for them.
         console: Receives a warning if `auto` finds a broken runtime.
 
     Returns:
-        Backend and number format in words.
+        Description of backend and number format.
 
     Raises:
-        UserError: The backend is missing or broken, or has no such number format.
+        UserError: The backend is missing or broken, or does not support the number format.
     """
     keep_anchors(model)
     if device.type == "cpu":
@@ -185,7 +187,7 @@ def prepare(
 def _by_runtime(
     runtime: Runtime, model: KeypointRCNN, metadata: Mapping[str, Any], precision: str, *, one_size: bool
 ) -> str:
-    """Hand a model's parts over; it is as before where the runtime fails."""
+    """Make a runtime compute the parts of a model; the model stays unchanged if the runtime fails."""
     ranges = int8_ranges.read(model, metadata)
     number = _number_format(precision, runtime, ranged=ranges is not None, device=torch.device("cpu"))
     try:

@@ -1,7 +1,8 @@
-"""Overlapping regions suppressed in less time than by torchvision, with its answer.
+"""Faster suppression of overlapping regions with the same result as torchvision.
 
-On a GPU for all images of a batch together, where torchvision takes them one by one (skope/detector/suppression.py); on
-a CPU, the best regions of all levels first, and the others only where those are too few.
+On a GPU, all images of a batch are processed together, whereas torchvision processes them one by one
+(skope/detector/suppression.py). On a CPU, the best regions of all levels are examined first, and the others only if
+these are too few.
 """
 
 import itertools
@@ -25,27 +26,27 @@ class SuppressionLimits:
     """Limits of the suppression of regions."""
 
     first_factor: int = 3
-    """Number of regions that are examined first, as a multiple of those that are wanted."""
+    """Number of regions that are examined first, as a multiple of the requested number."""
     least_side_px: float = 1e-2
-    """Detections with a shorter side are left out, as in torchvision, pixels."""
+    """Minimum length of a detection's shorter side, pixels, as in torchvision."""
 
 
 SUPPRESSION_LIMITS: Final = SuppressionLimits()
 
 
 def suppress_together(model: KeypointRCNN) -> None:
-    """Let a model choose its proposals and its detections in this way from now on."""
+    """Make a model select its proposals and detections on a GPU with this module."""
     model.rpn.filter_proposals = _Proposals(model.rpn)
     model.roi_heads.postprocess_detections = _Detections(model.roi_heads)
 
 
 def suppress_best_first(model: KeypointRCNN) -> None:
-    """Let a model on a CPU choose its proposals in this way from now on."""
+    """Make a model on a CPU select its proposals with this module."""
     model.rpn.filter_proposals = _BestFirst(model.rpn)
 
 
 class _ProposalLimits:
-    """Limits of the regions that are proposed: their numbers, overlap, sides and scores."""
+    """Limits of proposals: number, overlap, side length and score."""
 
     def __init__(self, rpn: RegionProposalNetwork) -> None:
         self._before, self._after = rpn.pre_nms_top_n(), rpn.post_nms_top_n()
@@ -53,10 +54,10 @@ class _ProposalLimits:
 
 
 class _BestFirst(_ProposalLimits):
-    """In place of `RegionProposalNetwork.filter_proposals`, with its arguments and its answer.
+    """Replacement for `RegionProposalNetwork.filter_proposals` with the same arguments and result.
 
-    A region is suppressed by better ones alone. So where those that stay of the best few are as many as are wanted,
-    nothing that is worse can be among them, and it need not be looked at.
+    Only better regions can suppress a region. If enough of the best few regions are kept, worse regions cannot be among
+    the result and need not be examined.
     """
 
     def __call__(
@@ -66,7 +67,7 @@ class _BestFirst(_ProposalLimits):
         image_shapes: Sequence[tuple[int, int]],
         num_anchors_per_level: Sequence[int],
     ) -> tuple[list[Tensor], list[Tensor]]:
-        """Choose proposals, as `_Proposals`."""
+        """Select proposals, as `_Proposals` does."""
         counts = list(num_anchors_per_level)
         logits = objectness.reshape(len(proposals), -1)
         images = [self._chosen(*each, counts) for each in zip(proposals, logits, image_shapes, strict=True)]
@@ -75,8 +76,11 @@ class _BestFirst(_ProposalLimits):
     def _chosen(
         self, proposals: Tensor, logits: Tensor, size: tuple[int, int], counts: list[int]
     ) -> tuple[Tensor, Tensor]:
-        """The boxes and scores of an image, from (A, 4) and (A,) of all levels."""
-        tops = [one.topk(min(self._before, len(one))).indices for one in torch.split(logits, counts)]
+        """Return boxes and scores of an image's proposals, from (A, 4) and (A,) of all levels."""
+        tops = [
+            level_logits.topk(min(self._before, len(level_logits))).indices
+            for level_logits in torch.split(logits, counts)
+        ]
         begins = itertools.accumulate([0, *counts[:-1]])
         index = torch.cat([begin + top for begin, top in zip(begins, tops, strict=True)])
         level = torch.repeat_interleave(torch.tensor([len(top) for top in tops]))
@@ -93,7 +97,7 @@ class _BestFirst(_ProposalLimits):
 
 
 class _Proposals(_ProposalLimits):
-    """In place of `RegionProposalNetwork.filter_proposals`, with its arguments and, but for rounding, its answer."""
+    """Replacement for `RegionProposalNetwork.filter_proposals`: same arguments and, up to rounding, same result."""
 
     def __call__(
         self,
@@ -102,13 +106,13 @@ class _Proposals(_ProposalLimits):
         image_shapes: Sequence[tuple[int, int]],
         num_anchors_per_level: Sequence[int],
     ) -> tuple[list[Tensor], list[Tensor]]:
-        """Choose proposals.
+        """Select proposals.
 
         Args:
             proposals: (N, A, 4) xyxy in N images, pixels; the A anchors of all levels.
-            objectness: (N * A, 1) their logits.
+            objectness: (N * A, 1) logits of the proposals.
             image_shapes: Height and width of each image.
-            num_anchors_per_level: How many of the A are of each level.
+            num_anchors_per_level: Number of anchors of each level.
 
         Returns:
             The (M, 4) best regions of each image and their scores, best first.
@@ -117,8 +121,8 @@ class _Proposals(_ProposalLimits):
         logits = torch.split(objectness.reshape(len(proposals), -1), counts, dim=1)
         of_level = zip(torch.split(proposals, counts, dim=1), logits, strict=True)
         levels = [_best(boxes, scores, self._before) for boxes, scores in of_level]
-        boxes = _clipped(torch.stack([one for one, _ in levels], dim=1), image_shapes)
-        scores = torch.stack([one for _, one in levels], dim=1).sigmoid()
+        boxes = _clipped(torch.stack([level_boxes for level_boxes, _ in levels], dim=1), image_shapes)
+        scores = torch.stack([level_scores for _, level_scores in levels], dim=1).sigmoid()
         good = _has_sides(boxes, self._least_side) & (scores >= self._least_score) & (scores > 0)
         kept = not_overlapped(boxes.flatten(0, 1), good.flatten(0, 1), self._overlap).view_as(good)
         found, sure, _ = _chosen(boxes.flatten(1, 2), scores.flatten(1), kept.flatten(1), self._after)
@@ -126,7 +130,7 @@ class _Proposals(_ProposalLimits):
 
 
 class _Detections:
-    """In place of `RoIHeads.postprocess_detections`, with its arguments and, but for rounding, its answer."""
+    """Replacement for `RoIHeads.postprocess_detections`: same arguments and, up to rounding, same result."""
 
     def __init__(self, heads: RoIHeads) -> None:
         self._heads = heads
@@ -138,7 +142,7 @@ class _Detections:
         proposals: Sequence[Tensor],
         image_shapes: Sequence[tuple[int, int]],
     ) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
-        """Choose detections; those of one category do not suppress another's.
+        """Select detections; detections of one category do not suppress those of another.
 
         Args:
             class_logits: (M of all N images, 1 + C) of the background and C categories.
@@ -149,15 +153,19 @@ class _Detections:
         Returns:
             (D, 4) boxes, (D,) scores and (D,) classes of the detections of each image, best first.
         """
-        heads, counts = self._heads, [len(one) for one in proposals]
+        heads, counts = self._heads, [len(regions) for regions in proposals]
         classes = class_logits.shape[1]
         of_classes = heads.box_coder.decode(box_regression, list(proposals)).reshape(-1, classes, 4)
         decoded = torch.split(of_classes[:, 1:], counts)
         likely = torch.split(softmax(class_logits, -1)[:, 1:], counts)
         most = max(counts)
         # Axes: image, category, region.
-        boxes = torch.stack([pad(one, (0, 0, 0, 0, 0, most - len(one))) for one in decoded]).transpose(1, 2)
-        scores = torch.stack([pad(one, (0, 0, 0, most - len(one)), value=-1.0) for one in likely]).transpose(1, 2)
+        boxes = torch.stack(
+            [pad(image_boxes, (0, 0, 0, 0, 0, most - len(image_boxes))) for image_boxes in decoded]
+        ).transpose(1, 2)
+        scores = torch.stack(
+            [pad(image_scores, (0, 0, 0, most - len(image_scores)), value=-1.0) for image_scores in likely]
+        ).transpose(1, 2)
         groups, best = _best(boxes.flatten(0, 1), scores.flatten(0, 1), most)
         boxes, scores = _clipped(groups.view_as(boxes), image_shapes), best.view_as(scores)
         good = _has_sides(boxes, SUPPRESSION_LIMITS.least_side_px) & (scores > max(0.0, heads.score_thresh))
@@ -168,19 +176,21 @@ class _Detections:
 
 
 def _best(boxes: Tensor, logits: Tensor, most: int) -> tuple[Tensor, Tensor]:
-    """(N, most, 4) boxes and (N, most) logits of (N, A, 4) and (N, A), best first; -inf where A is less."""
+    """Return (N, most, 4) boxes and (N, most) logits of (N, A, 4) and (N, A), best first; padded with -inf."""
     count = min(most, logits.shape[1])
     best, index = logits.topk(count, dim=1)
     return pad(_taken(boxes, index), (0, 0, 0, most - count)), pad(best, (0, most - count), value=-torch.inf)
 
 
 def _taken(boxes: Tensor, index: Tensor) -> Tensor:
-    """(N, M, 4) boxes of (N, A, 4), those of the numbers (N, M)."""
+    """Return (N, M, 4) boxes: those with the indices (N, M) of (N, A, 4)."""
     return boxes.gather(1, index[..., None].expand(-1, -1, 4))
 
 
 def _clipped(boxes: Tensor, image_shapes: Sequence[tuple[int, int]]) -> Tensor:
-    return torch.stack([clip_boxes_to_image(one, size) for one, size in zip(boxes, image_shapes, strict=True)])
+    return torch.stack(
+        [clip_boxes_to_image(image_boxes, size) for image_boxes, size in zip(boxes, image_shapes, strict=True)]
+    )
 
 
 def _has_sides(boxes: Tensor, least: float) -> Tensor:
@@ -188,12 +198,12 @@ def _has_sides(boxes: Tensor, least: float) -> Tensor:
 
 
 def _chosen(boxes: Tensor, scores: Tensor, kept: Tensor, most: int) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
-    """The boxes and scores that are kept, of each image the best, `most` of them at most; and their numbers."""
+    """Return boxes, scores and indices of at most `most` kept regions per image, best first."""
     best, index = scores.masked_fill(~kept, -1.0).topk(min(most, scores.shape[1]), dim=1)
     counts = (best >= 0).sum(dim=1).tolist()
     found = _taken(boxes, index)
     return (
-        [one[:count] for one, count in zip(found, counts, strict=True)],
-        [one[:count] for one, count in zip(best, counts, strict=True)],
-        [one[:count] for one, count in zip(index, counts, strict=True)],
+        [image_boxes[:count] for image_boxes, count in zip(found, counts, strict=True)],
+        [image_scores[:count] for image_scores, count in zip(best, counts, strict=True)],
+        [image_index[:count] for image_index, count in zip(index, counts, strict=True)],
     )

@@ -1,6 +1,6 @@
-"""Libraries that compute the network's parts in place of torch, each with an extra of its own.
+"""Libraries that can compute the parts of the network instead of torch; each is an optional extra.
 
-Both read ONNX. What they answer differs from torch's in the last digits of float32; bfloat16 and int8 are rougher.
+Both read ONNX. Their results differ from torch's in the last digits of float32; bfloat16 and int8 are less accurate.
 """
 
 import contextlib
@@ -25,7 +25,7 @@ and 0.1 GB."""
 
 
 class UnusableError(UserError):
-    """A runtime is missing, too old or broken."""
+    """Error for a runtime that is missing, too old or broken."""
 
     def __init__(self, message: str, *, missing: bool) -> None:
         super().__init__(message)
@@ -33,18 +33,18 @@ class UnusableError(UserError):
 
 
 class Runtime(ABC):
-    """A library that computes ONNX models on the CPU."""
+    """Library that computes ONNX models on the CPU."""
 
     backend: ClassVar[str]
-    """Its name for `--backend`, and that of the extra that installs it."""
+    """Name for `--backend` and of the extra that installs it."""
     formats: ClassVar[tuple[str, ...]]
-    """Number formats that it multiplies in, fastest first."""
+    """Supported number formats, fastest first."""
     module: ClassVar[str]
     oldest: ClassVar[tuple[int, int]]
-    """The first version that is known to compute the parts rightly."""
+    """Earliest version that is known to compute the parts correctly."""
 
     def __init__(self) -> None:
-        """Raises UnusableError, of one line, where the library or `onnx`, which the parts are handed over by, fails."""
+        """Raise UnusableError, with a one-line message, if the library or `onnx` does not work."""
         self._import("onnx")
         self._library = self._import(self.module)
         self.version = str(self._library.__version__).partition("-")[0]
@@ -59,7 +59,7 @@ class Runtime(ABC):
             if error.name == module:
                 raise self._unusable(f"{module} is not installed", missing=True) from None
             raise self._unusable(f"{module} is broken ({error})") from None
-        except Exception as error:  # a compiled module may raise what it likes
+        except Exception as error:  # a compiled module may raise any exception
             raise self._unusable(f"{module} is broken ({_first_line(error)})") from None
 
     def _unusable(self, why: str, *, missing: bool = False) -> UnusableError:
@@ -67,9 +67,9 @@ class Runtime(ABC):
         return UnusableError(line, missing=missing)
 
     def compile(self, part: NetworkPart, number: str) -> RunNetwork:
-        """A function that computes a part with products in a number format, one of `formats`.
+        """Return a function that computes a part with products in a number format, one of `formats`.
 
-        Both raise UnusableError, of one line, where the library cannot.
+        Both raise UnusableError, with a one-line message, if the library fails.
         """
         with self._blamed():
             run = self._compiled(part, number)
@@ -84,7 +84,7 @@ class Runtime(ABC):
     def _blamed(self) -> Iterator[None]:
         try:
             yield
-        except Exception as error:  # whatever the library raises where it meets what it cannot do
+        except Exception as error:  # any exception of the library, for an unsupported operation
             why = f"{self.module} {self.version} cannot compute the network ({_first_line(error)})"
             raise self._unusable(why) from None
 
@@ -104,7 +104,7 @@ def _openvino_core(library: ModuleType) -> Any:
 
 
 class OpenVino(Runtime):
-    """OpenVINO. Sums of products, and what is not in eight bits, are in bfloat16 where they may be."""
+    """OpenVINO. Sums of products, and all parts that are not in int8, use bfloat16 if permitted."""
 
     backend = "openvino"
     formats = ("int8", "bfloat16", "float32")
@@ -128,8 +128,8 @@ class OpenVino(Runtime):
             return core.compile_model(fitting, "CPU", hints)
 
         def run(x: Floats32) -> list[Floats32]:
-            # Compiled for one size the pyramid is a fifth faster than for any size, and rounds otherwise: were the
-            # size that comes first set apart, what is found in an image would depend on those before it.
+            # Compiled for a fixed size, the pyramid is a fifth faster than for any size, but rounds differently. If the
+            # first size were compiled separately, the detections in an image would depend on earlier images.
             graph = compiled(x.shape if part.steady else None)
             return list(graph(x, share_inputs=True, share_outputs=True).to_tuple())
 
@@ -137,7 +137,7 @@ class OpenVino(Runtime):
 
 
 class OnnxRuntime(Runtime):
-    """ONNX Runtime. In eight bits it was slower than in float32 (version 1.31), and it has no bfloat16 on CPUs."""
+    """ONNX Runtime. Its int8 was slower than float32 (version 1.31), and it has no bfloat16 on CPUs."""
 
     backend = "onnx"
     formats = ("float32",)
@@ -153,7 +153,7 @@ class OnnxRuntime(Runtime):
 
 
 def _without_shapes(model: bytes) -> bytes:
-    """An ONNX model without the shapes that the exporter noted: of a layer that five maps go through they are wrong."""
+    """Return an ONNX model without the exporter's shapes, which are wrong for layers with several input maps."""
     import onnx
 
     parsed = onnx.load_from_string(model)

@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Final
 
 DEFAULT_WEIGHTS: Final = "road33"
-"""Name of the default detector, from which training also begins if COCO's weights are not available."""
+"""Name of the default detector; training also starts from it if COCO's weights are not available."""
 
 LIGHT_WEIGHTS: Final = "road33-lite"
-"""Name of the light detector, for every frame of a live camera on a CPU."""
+"""Name of the light detector, which processes every frame of a live camera on a CPU."""
 BY_ACCURACY: Final = (DEFAULT_WEIGHTS, LIGHT_WEIGHTS)
 """Shipped detectors, the most accurate first. They have the same keypoints and categories."""
 
@@ -15,15 +15,15 @@ WEIGHTS_FOLDER: Final = Path(__file__).parent
 
 
 def names() -> tuple[str, ...]:
-    """Names of the detectors that come with the package."""
+    """Return the names of the detectors that come with the package."""
     return tuple(sorted(path.stem for path in WEIGHTS_FOLDER.glob("*.safetensors")))
 
 
 def path(name: str) -> Path:
-    """The file of the weights called `name`, one of `names`."""
+    """Return the file of the weights called `name`, one of `names`."""
     return WEIGHTS_FOLDER / f"{name}.safetensors"
 
 
 def shipped(weights: Path) -> bool:
-    """Whether a file of weights lies in the package, where nothing of a user's is written."""
+    """Return whether a weights file is inside the package, where no user files are written."""
     return weights.parent == WEIGHTS_FOLDER
