@@ -1,10 +1,8 @@
-"""Assignment of anchors and proposals to vehicles, and which of them a step learns from: torchvision's rules for all
-images of a batch at once.
+"""Assign anchors and proposals to ground truth and sample them, by torchvision's rules, for a whole batch at once.
 
-torchvision goes through the images one by one, and asks the GPU for numbers of boxes many times in each, for which it
-waits every time. Here every count has a bound that is known beforehand, and what is beyond it is masked.
-
-What lies on an ignored vehicle or other road user counts neither as one of a category nor as background.
+torchvision processes the images one by one. For each it requests numbers of boxes from the GPU many times, and waits
+each time. Here every count has a known bound, and entries beyond the count are masked. Boxes on an ignored vehicle or
+other road user count neither as a category nor as background.
 """
 
 from dataclasses import dataclass
@@ -21,13 +19,13 @@ class MatchingLimits:
     """Limits of matching anchors and proposals to boxes."""
 
     discarded: int = -1
-    """Label of boxes that are neither of a category nor background."""
+    """Label of boxes that belong neither to a category nor to the background."""
     ignored_share: float = 0.5
-    """Share of a box's area inside an ignored box from which it is ignored."""
+    """Minimum share of a box's area inside an ignored box for the box to be ignored."""
     iou: float = 0.5
-    """IoU from which a box belongs to a ground-truth box, whatever it lies on."""
+    """Minimum IoU with a ground-truth box for a box to be assigned to it even on an ignored box."""
     pairs_at_once: int = 1 << 26
-    """Pairs of boxes that are compared at once: several quarters of a gigabyte in float32."""
+    """Number of pairs of boxes that are compared at once; several quarters of a gigabyte in float32."""
 
 
 MATCHING_LIMITS: Final = MatchingLimits()
@@ -40,7 +38,7 @@ def assign(boxes: Tensor, batch: TargetBatch, *, low: float, high: float, low_qu
     """Assign labels and ground-truth boxes to anchors or proposals.
 
     Args:
-        boxes: (N, 4) xyxy of anchors, the same for all images, or (B, N, 4) of each image's proposals.
+        boxes: (N, 4) xyxy of anchors, the same for all images, or (B, N, 4) of the proposals of each image.
         batch: The ground truth of the B images.
         low: IoU below which a box is background.
         high: Minimum IoU for a box to be assigned to the road user that it overlaps most. Between `low` and `high` it
@@ -49,36 +47,38 @@ def assign(boxes: Tensor, batch: TargetBatch, *, low: float, high: float, low_qu
             objects in the RPN.
 
     Returns:
-        (B, N) int64 labels: that of the ground truth, 0 for background, `MATCHING_LIMITS.discarded`; and (B, N) int64
-        indices into the ground truth, 0 where there is none.
+        (B, N) int64 labels: that of the ground truth, 0 for background, or `MATCHING_LIMITS.discarded`; and (B, N)
+        int64 indices into the ground truth, 0 without a match.
     """
     count = len(batch.boxes)
     at_once = max(1, MATCHING_LIMITS.pairs_at_once // max(1, batch.boxes.shape[1] * boxes.shape[-2]))
     labels, matched = [], []
     for first in range(0, count, at_once):
         part = slice(first, first + at_once)
-        own = boxes if boxes.dim() == 2 else boxes[part]
-        present, quality = batch.present[part], anchor_iou(batch.boxes[part], own)
+        part_boxes = boxes if boxes.dim() == 2 else boxes[part]
+        present, quality = batch.present[part], anchor_iou(batch.boxes[part], part_boxes)
         best, match = _match(quality, present, low, high, low_quality=low_quality)
         label = batch.labels[part].gather(1, match.clamp(min=0))
         label = torch.where(match >= 0, label, torch.where(match == _BELOW, 0, MATCHING_LIMITS.discarded))
         on_nobody = best < MATCHING_LIMITS.iou
-        labels.append(label.masked_fill_(_inside(own, batch.ignored[part]) & on_nobody, MATCHING_LIMITS.discarded))
+        labels.append(
+            label.masked_fill_(_inside(part_boxes, batch.ignored[part]) & on_nobody, MATCHING_LIMITS.discarded)
+        )
         matched.append(match.clamp_(min=0))
     return torch.cat(labels), torch.cat(matched)
 
 
 def anchor_iou(truth: Tensor, boxes: Tensor) -> Tensor:
-    """(B, G, N) intersection over union of (B, G, 4) boxes with (N, 4) or (B, N, 4) others."""
+    """Return (B, G, N) intersection over union of (B, G, 4) ground-truth boxes with (N, 4) or (B, N, 4) boxes."""
     shared = _shared(truth, boxes)
     union = _area(truth)[:, :, None] + _area(boxes).unsqueeze(-2) - shared
     return shared.div_(union)
 
 
-def _shared(one: Tensor, other: Tensor) -> Tensor:
-    """(B, G, N) area of the intersections of (B, G, 4) boxes with (N, 4) or (B, N, 4) others."""
-    x0, y0, x1, y1 = (side[:, :, None] for side in one.unbind(-1))
-    left, top, right, bottom = (side.unsqueeze(-2) for side in other.unbind(-1))
+def _shared(references: Tensor, boxes: Tensor) -> Tensor:
+    """Return (B, G, N) intersection areas of (B, G, 4) reference boxes with (N, 4) or (B, N, 4) boxes."""
+    x0, y0, x1, y1 = (side[:, :, None] for side in references.unbind(-1))
+    left, top, right, bottom = (side.unsqueeze(-2) for side in boxes.unbind(-1))
     width = torch.minimum(x1, right).sub_(torch.maximum(x0, left)).clamp_(min=0)
     height = torch.minimum(y1, bottom).sub_(torch.maximum(y0, top)).clamp_(min=0)
     return width.mul_(height)
@@ -91,31 +91,31 @@ def _area(boxes: Tensor) -> Tensor:
 def _match(quality: Tensor, present: Tensor, low: float, high: float, *, low_quality: bool) -> tuple[Tensor, Tensor]:
     """Return (B, N) best IoU, -1 without ground truth, and (B, N) its index, `_BELOW` or `_BETWEEN`, as torchvision."""
     quality = quality.masked_fill_(~present[:, :, None], -1.0)
-    best, whose = quality.max(dim=1)
-    match = torch.where(best < low, _BELOW, torch.where(best < high, _BETWEEN, whose))
+    best, best_index = quality.max(dim=1)
+    match = torch.where(best < low, _BELOW, torch.where(best < high, _BETWEEN, best_index))
     if low_quality:
         most = quality.amax(dim=2, keepdim=True)
         closest = ((quality == most) & present[:, :, None]).any(dim=1)
-        match = torch.where(closest, whose, match)
+        match = torch.where(closest, best_index, match)
     return best, match
 
 
 def _inside(boxes: Tensor, ignored: Tensor) -> Tensor:
-    """(B, N) bool: lies to half of its area inside one of (B, M, 4) ignored boxes."""
-    own = _area(boxes)
-    return (_shared(ignored, boxes).amax(dim=1) >= MATCHING_LIMITS.ignored_share * own) & (own > 0)
+    """Return (B, N) bool: whether half of a box's area lies inside one of (B, M, 4) ignored boxes."""
+    areas = _area(boxes)
+    return (_shared(ignored, boxes).amax(dim=1) >= MATCHING_LIMITS.ignored_share * areas) & (areas > 0)
 
 
 def sample_anchors(labels: Tensor, count: int, share: float) -> tuple[Tensor, Tensor]:
-    """Draw what a step learns from, without preference.
+    """Draw a random sample for training.
 
     Args:
-        labels: (B, N) as `assign` gives them.
-        count: How many of an image at most.
-        share: How much of that at most is not background; background takes the rest.
+        labels: (B, N) labels from `assign`.
+        count: Maximum number of samples per image.
+        share: Maximum share of samples that are not background; background takes the rest.
 
     Returns:
-        (B, S) int64 indices, S <= `count`, and (B, S) bool which of them are drawn: the others mean nothing.
+        (B, S) int64 indices, S <= `count`, and (B, S) bool mask of the valid ones.
     """
     total = labels.shape[1]
     keys = torch.rand(labels.shape, device=labels.device)

@@ -1,4 +1,4 @@
-"""Augment training images by what traffic cameras do to images: geometry, light, optics, compression, occluders.
+"""Augment training images with effects of traffic cameras: geometry, light, optics, compression, occluders.
 
 Each step is a function of (pixels, vehicles, generator); those that move pixels move boxes and keypoints with them.
 Pixels are (H, W, 3) uint8 sRGB in and out.
@@ -22,10 +22,10 @@ from skope.train.targets import Vehicles
 from skope.types import Array, Pixels
 
 _PIXEL_LEVELS: Final = np.arange(256, dtype=np.uint8)
-"""Each value that a pixel can have: what changes values alone is looked up."""
+"""All values of a pixel; changes of values alone are applied by a lookup table."""
 
 _NORMAL_LEVELS: Final = np.array([NormalDist().inv_cdf((k + 0.5) / 256) for k in range(256)])
-"""Values that a standard normal number takes as often as a byte takes each of its 256."""
+"""Quantiles of the standard normal distribution for the 256 values of a random byte."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,11 @@ class CropRules:
     """Margins and cuts of cropped images."""
 
     margin_rows: int = 5
-    """Rows to which the image is reduced for the margin around it. Nothing in it can be recognised."""
+    """Number of rows to which the image is reduced for the margin around it, so that nothing in it is recognisable."""
     cutting_share: float = 0.25
     """Fraction of the crops with an edge through a vehicle. They are enlarged by 1.5 or more."""
     least_cut_height: float = 0.05
-    """Least height of a vehicle that is cut, in heights of the image."""
+    """Minimum height of a vehicle that is cut, as a share of the image height."""
 
 
 CROP_RULES: Final = CropRules()
@@ -48,40 +48,40 @@ Step = Callable[[Pixels, Vehicles, np.random.Generator], tuple[Pixels, Vehicles]
 
 @dataclass(frozen=True, kw_only=True)
 class Augment:
-    """Frequency of each change to an image: probabilities from 0 to 1."""
+    """Probabilities of each change to an image, from 0 to 1."""
 
     flip: float = 0.5
-    """Mirror the image: left and right exchanged."""
+    """Mirror the image: left and right are exchanged."""
     crop: float = 0.0
-    """Random scale from 0.3 to 2.5 and random crop, which can cut vehicles; the image keeps its size."""
+    """Random scale from 0.3 to 2.5 and random crop, which can cut vehicles; the size of the image is kept."""
     occluders: float = 0.0
-    """Flat rectangles before parts of vehicles: the points under them are hidden."""
+    """Flat rectangles in front of parts of vehicles: the points under them are hidden."""
     color: float = 0.0
     """Change saturation, hue and white balance."""
     brightness: float = 0.0
     """Exposure from -2.5 to 1.5 stops, and gamma: from glare to night."""
     spectrum: float = 0.0
-    """Change how strong each spatial frequency is, fine ones most: what differs between drawn and real surfaces."""
+    """Change the strength of each spatial frequency, most for fine ones, in which drawn and real surfaces differ."""
     filters: float = 0.0
-    """Mix in what a random filter of 3x3 pixels makes of the image."""
+    """Blend with the image filtered by a random 3x3 kernel."""
     infrared: float = 0.0
-    """Make the image grey, as night cameras see."""
+    """Make the image grey, like that of a night camera."""
     rain: float = 0.0
-    """Draw bright streaks, as rain leaves."""
+    """Draw bright streaks like rain."""
     blur: float = 0.0
-    """Blur as by wrong focus or by motion."""
+    """Blur from wrong focus or motion."""
     noise: float = 0.0
-    """Sensor noise, independent per channel or equal in all."""
+    """Sensor noise, independent per channel or equal in all channels."""
     resample: float = 0.0
-    """Scale the image down, to a fifth at least, and up again, sharpened with halos half of the time."""
+    """Reduce the image to at least a fifth and enlarge it again; in half of the cases sharpened with halos."""
     jpeg: float = 0.0
     """Compress as JPEG of quality 8 to 80."""
     video: float = 0.0
-    """Blocks of a video encoder that saves bits: some macroblocks much coarser than others."""
+    """Blocks of a video encoder at a low bit rate: some macroblocks are much coarser than others."""
     clean: float = 0.0
-    """Leave light, optics and compression as they are, whatever the others say."""
+    """Leave light, optics and compression unchanged, whatever the other values are."""
     reduce: float = 0.0
-    """Bring an image that is larger than inside the network to that size first: all that follows takes less time."""
+    """Reduce images larger than the network's input to that size first, so that all further steps take less time."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -92,23 +92,23 @@ class Augment:
     def apply(
         self, pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator, scale: float = 1.0
     ) -> tuple[Pixels, Vehicles]:
-        """The image and its vehicles after the steps that the generator picks.
+        """Return the image and its vehicles after the steps that the generator selects.
 
         Args:
             pixels: (H, W, 3) sRGB.
-            vehicles: What is in the image, in its pixels.
-            rng: Draws which steps, and what they do.
-            scale: Size of the image inside the network, in sizes of the image; `reduce` is for those below 1.
+            vehicles: Road users in the image, in its pixels.
+            rng: Random generator that selects the steps and their strengths.
+            scale: Size of the image inside the network relative to its own size; `reduce` applies below 1.
         """
-        # Of a generator of its own: none of the other draws depends on it.
+        # With a separate generator, the other draws do not depend on it.
         reduced = scale < 1 and rng.spawn(1)[0].random() < self.reduce
         size = _size(pixels, scale if reduced else 1.0)
         clean = rng.random() < self.clean
         for name, step in AUGMENT_STEPS.items():
-            # Drawn for every step, so that one step's probability changes no other step.
+            # Drawn for every step, so that the probability of one step does not affect other steps.
             chosen, step_rng = rng.random() < getattr(self, name), np.random.default_rng(rng.integers(2**63))
             if name == "crop":
-                # One interpolation for both, so that a part that is enlarged is as sharp as the image allows.
+                # One interpolation for both, so that an enlarged part is as sharp as the image allows.
                 pixels, vehicles = (
                     _part(pixels, vehicles, step_rng, size) if chosen else _resized(pixels, vehicles, size)
                 )
@@ -125,13 +125,13 @@ def _flip(pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple
 
 
 def _size(pixels: Pixels, scale: float) -> tuple[int, int]:
-    """Width and height of an image at a scale."""
+    """Return width and height of an image at a scale."""
     height, width = pixels.shape[:2]
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
 def _resized(pixels: Pixels, vehicles: Vehicles, size: tuple[int, int]) -> tuple[Pixels, Vehicles]:
-    """The whole image at another (width, height), as the network would resize it."""
+    """Return the whole image at another (width, height), resized as the network would."""
     height, width = pixels.shape[:2]
     if size == (width, height):
         return pixels, vehicles
@@ -146,7 +146,7 @@ def _crop(pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple
 def _part(
     pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator, size: tuple[int, int]
 ) -> tuple[Pixels, Vehicles]:
-    """Another part of the view, or more than it, at another scale, as an image of `size`, (width, height)."""
+    """Return a part of the view, or more than the view, at another scale, as an image of `size` (width, height)."""
     height, width = pixels.shape[:2]
     cutting = rng.random() < CROP_RULES.cutting_share
     scale = float(np.exp(rng.uniform(np.log(1.5 if cutting else 0.3), np.log(2.5))))
@@ -156,12 +156,12 @@ def _part(
     if cutting:
         corner = _cutting(corner, part, room, vehicles.boxes_xyxy, rng)
     factors = size / part
-    # OpenCV counts a pixel's centre as i, skope as i + 0.5.
+    # OpenCV counts the centre of a pixel as i, skope as i + 0.5.
     shift = -corner * factors + 0.5 * factors - 0.5
     matrix = np.array([[factors[0], 0, shift[0]], [0, factors[1], shift[1]]])
     if scale < 1:
         moved = _margin(pixels, size)
-        # Without it every other pixel would be left out.
+        # Without this, every other pixel would be skipped.
         pixels = _pixels(cv2.GaussianBlur(pixels, (0, 0), 0.5 * (scale**-2 - 1) ** 0.5 + 1e-3))
         cv2.warpAffine(pixels, matrix, size, dst=moved, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT)
     else:
@@ -171,7 +171,7 @@ def _part(
 
 
 def _margin(pixels: Pixels, size: tuple[int, int]) -> Pixels:
-    """Surroundings of a reduced image, (width, height): its own colours, in which nothing can be made out."""
+    """Return blurred surroundings of a reduced image (width, height): its colours, without recognisable content."""
     height, width = pixels.shape[:2]
     few = (max(1, round(CROP_RULES.margin_rows * width / height)), CROP_RULES.margin_rows)
     tiny = cv2.resize(pixels, few, interpolation=cv2.INTER_AREA)
@@ -179,14 +179,14 @@ def _margin(pixels: Pixels, size: tuple[int, int]) -> Pixels:
 
 
 def _cutting(corner: Array, part: Array, room: Array, boxes_xyxy: Array, rng: np.random.Generator) -> Array:
-    """Another corner (2,) for a part of the image, so that one of its edges passes through a vehicle, if one is large.
+    """Return a corner (2,) for a part of the image whose edge passes through a large vehicle, if there is one.
 
     Args:
-        corner: (2,) the corner as drawn, from 0 to `room`.
+        corner: (2,) original corner, from 0 to `room`.
         part: (2,) width and height of the part.
-        room: (2,) width and height of the image that the part leaves.
+        room: (2,) width and height of the image minus those of the part.
         boxes_xyxy: (N, 4) boxes of the vehicles.
-        rng: Draws vehicle and edge.
+        rng: Random generator that selects vehicle and edge.
     """
     height = part[1] + room[1]
     high = boxes_xyxy[boxes_xyxy[:, 3] - boxes_xyxy[:, 1] >= CROP_RULES.least_cut_height * height]
@@ -194,16 +194,16 @@ def _cutting(corner: Array, part: Array, room: Array, boxes_xyxy: Array, rng: np
         return corner
     box = rng.choice(high)
     through = box[:2] + rng.uniform(0.2, 0.8, 2) * (box[2:] - box[:2])
-    # Near and far edge of either axis, where the image reaches far enough.
+    # Near and far edge of either axis, if the image extends far enough.
     ways = [(axis, through[axis] - far * part[axis]) for axis in (0, 1) for far in (0, 1)]
     ways = [(axis, at) for axis, at in ways if 0 <= at <= room[axis]]
     out = corner.copy()
     if ways:
         axis, at = ways[rng.integers(len(ways))]
         out[axis] = at
-        # Along the other axis the vehicle is in the part.
-        other = 1 - axis
-        out[other] = np.clip(through[other] - rng.random() * part[other], 0, room[other])
+        # Along the other axis, the vehicle is inside the part.
+        other_axis = 1 - axis
+        out[other_axis] = np.clip(through[other_axis] - rng.random() * part[other_axis], 0, room[other_axis])
     return out
 
 
@@ -224,7 +224,7 @@ def _occluders(pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> 
 
 
 def _photometric(change: Callable[[Pixels, np.random.Generator], Pixels]) -> Step:
-    """A step that leaves every pixel where it is."""
+    """Step that does not move pixels."""
     return lambda pixels, vehicles, rng: (change(pixels, rng), vehicles)
 
 
@@ -243,9 +243,10 @@ def _brightness(pixels: Pixels, rng: np.random.Generator) -> Pixels:
 
 
 def _spectrum(pixels: Pixels, rng: np.random.Generator) -> Pixels:
-    """PASTA (Chattopadhyay et al., ICCV 2023): the finer a frequency, the more may its amplitude change.
+    """Change amplitudes of spatial frequencies: the finer a frequency, the larger the change can be.
 
-    Its constants: alpha 3, here at most, k 2, beta 0.25. The mean colour stays, brightness being a step of its own.
+    PASTA (Chattopadhyay et al., ICCV 2023) with alpha up to 3, k 2 and beta 0.25, as in the paper. The mean colour is
+    kept, because brightness is a separate step.
     """
     height, width = pixels.shape[:2]
     fineness = _fineness(height, width)
@@ -262,14 +263,14 @@ def _spectrum(pixels: Pixels, rng: np.random.Generator) -> Pixels:
 
 @lru_cache(maxsize=4)
 def _fineness(height: int, width: int) -> NDArray[np.float32]:
-    """(H, W // 2 + 1) squares of the spatial frequencies of an image, as shares of the finest one's."""
+    """Return (H, W // 2 + 1) squared spatial frequencies of an image, relative to the finest one."""
     down, right = np.fft.fftfreq(height), np.fft.rfftfreq(width)
     return ((down[:, None] ** 2 + right**2) / 0.5).astype(np.float32)
 
 
 def _filters(pixels: Pixels, rng: np.random.Generator) -> Pixels:
     kernel = rng.standard_normal((3, 3))
-    kernel += kernel[::-1, ::-1]  # the same on opposite sides, so that nothing shifts
+    kernel += kernel[::-1, ::-1]  # symmetric, so that nothing shifts
     kernel /= np.sign(kernel.sum()) * max(abs(kernel.sum()), 0.5)
     share = rng.uniform(0, 0.6)
     kernel *= share
@@ -299,7 +300,7 @@ def _blur(pixels: Pixels, rng: np.random.Generator) -> Pixels:
     reach = 2 + pixels.shape[0] / 360
     if rng.random() < 0.5:
         return _pixels(cv2.GaussianBlur(pixels, (0, 0), rng.uniform(0.4, 0.75 * reach)))
-    size = 2 * int(rng.integers(1, 1 + 1.75 * reach)) + 1  # odd, so that the kernel has a middle and nothing shifts
+    size = 2 * int(rng.integers(1, 1 + 1.75 * reach)) + 1  # odd, so that the kernel has a centre and nothing shifts
     turn = cv2.getRotationMatrix2D(((size - 1) / 2, (size - 1) / 2), rng.uniform(0, 180), 1)
     row = np.zeros((size, size), np.float32)
     row[size // 2] = 1
@@ -311,7 +312,7 @@ def _noise(pixels: Pixels, rng: np.random.Generator) -> Pixels:
     alike = rng.random() < 0.5
     levels = np.rint(rng.uniform(2, 25) * _NORMAL_LEVELS).astype(np.int16)
     shape = pixels.shape[:2] if alike else pixels.shape
-    # Looking a byte up takes a fifth of the time of drawing a normal number.
+    # Looking up a byte takes a fifth of the time of drawing a normal number.
     grain = levels[np.frombuffer(rng.bytes(math.prod(shape)), np.uint8).reshape(shape)]
     return _pixels(cv2.add(pixels, cv2.merge([grain] * 3) if alike else grain, dtype=cv2.CV_8U))
 
@@ -337,7 +338,7 @@ def _jpeg(pixels: Pixels, rng: np.random.Generator) -> Pixels:
 def _video(pixels: Pixels, rng: np.random.Generator) -> Pixels:
     height, width = pixels.shape[:2]
     coarse, fine = _recoded(pixels, int(rng.integers(4, 15))), _recoded(pixels, int(rng.integers(35, 75)))
-    # Neighbouring macroblocks (16 x 16 pixels) share their fate, as an encoder's rate control has it.
+    # Neighbouring macroblocks (16 x 16 pixels) are changed alike, as by an encoder's rate control.
     grid = rng.random((-(-height // 64) + 1, -(-width // 64) + 1)).repeat(4, axis=0).repeat(4, axis=1)
     fate = grid + rng.normal(0, 0.15, grid.shape) < rng.uniform(0.3, 0.8)
     mask = fate.repeat(16, axis=0).repeat(16, axis=1)[:height, :width, None]
@@ -351,7 +352,7 @@ def _recoded(pixels: Pixels, quality: int) -> Pixels:
 
 
 def _pixels(values: object) -> Pixels:
-    """OpenCV's answer on pixels, as uint8: its type stubs promise less."""
+    """Return OpenCV's result as uint8, because its type stubs are less specific."""
     return np.asarray(values, dtype=np.uint8)
 
 
@@ -360,7 +361,7 @@ def _bytes(values: NDArray[np.generic]) -> Pixels:
 
 
 GEOMETRIC_STEPS: Final[dict[str, Step]] = {"flip": _flip, "crop": _crop, "occluders": _occluders}
-"""Steps that move or cover pixels. Images without photometric changes take them too."""
+"""Steps that move or cover pixels; they also apply to images without photometric changes."""
 PHOTOMETRIC_STEPS: Final = {
     "color": _color,
     "brightness": _brightness,
@@ -374,9 +375,9 @@ PHOTOMETRIC_STEPS: Final = {
     "jpeg": _jpeg,
     "video": _video,
 }
-"""Changes that leave every pixel where it is."""
+"""Changes that do not move pixels."""
 AUGMENT_STEPS: Final = MappingProxyType(
     {**GEOMETRIC_STEPS, **{name: _photometric(change) for name, change in PHOTOMETRIC_STEPS.items()}}
 )
-"""The steps by name, in the order of nature: the scene, its light, the lens and sensor, then the encoder."""
+"""Steps by name, in physical order: scene, light, lens and sensor, encoder."""
 assert (*AUGMENT_STEPS, "clean", "reduce") == tuple(field.name for field in fields(Augment))

@@ -23,13 +23,13 @@ _RECIPE_FLAGS = ("epochs", "init", "batch_size", "supervise", "exclude_types", "
 
 
 def new(data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: bool) -> RunConfig:
-    """Configuration of a new run.
+    """Return the configuration of a new run.
 
     Args:
         data: Dataset folders.
-        flags: Values of the flags by name; one that is None or empty leaves the recipe's value.
-        gpu: Whether a GPU trains.
-        bfloat16: Whether the processor multiplies in bfloat16.
+        flags: Values of the flags by name; None or an empty value keeps the recipe's value.
+        gpu: Whether the run uses a GPU.
+        bfloat16: Whether the processor supports bfloat16.
 
     Raises:
         UserError: A flag is wrong.
@@ -70,17 +70,17 @@ def new(data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: 
 def new_or_same(
     out: Path, data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: bool
 ) -> tuple[RunConfig, bool]:
-    """Configuration of a new run, or of the one in `out` where that was begun by the same flags, and which it is.
+    """Return the configuration of a new run, or of the run in `out` if it has the same flags, and whether it resumes.
 
     Args:
         out: The run folder.
         data: Dataset folders.
-        flags: As `new` takes them.
-        gpu: Whether a GPU trains.
-        bfloat16: Whether the processor multiplies in bfloat16.
+        flags: As for `new`.
+        gpu: Whether the run uses a GPU.
+        bfloat16: Whether the processor supports bfloat16.
 
     Raises:
-        UserError: A flag is wrong, or `out` holds a run that was begun by others.
+        UserError: A flag is wrong, or `out` contains a run with other flags.
     """
     wanted = new(data, flags, gpu=gpu, bfloat16=bfloat16)
     if not resumable(out):
@@ -89,16 +89,16 @@ def new_or_same(
         held = RunConfig.read(out)
     except UserError as error:
         raise UserError(f"{error}; choose another folder by --out, or move this one away") from None
-    if other := changed_options(_flat(held), _flat(_completed(wanted, held))):
+    if changes := changed_options(_flat(held), _flat(_completed(wanted, held))):
         raise UserError(
-            f"{out}: holds another run: {'; '.join(other)}. --resume continues it with its saved options, "
+            f"{out}: holds another run: {'; '.join(changes)}. --resume continues it with its saved options, "
             "--epochs extends it; or choose another folder by --out"
         )
     return replace(held, data=wanted.data), True
 
 
 def _completed(wanted: RunConfig, held: RunConfig) -> RunConfig:
-    """A configuration with what the datasets of a run have decided."""
+    """Return a configuration with the values that follow from the datasets of a run."""
     recipe = wanted.recipe
     if held.recipe.augment.flip == 0:  # of keypoints without mirror partners
         recipe = replace(recipe, augment=replace(recipe.augment, flip=0.0))
@@ -106,11 +106,11 @@ def _completed(wanted: RunConfig, held: RunConfig) -> RunConfig:
 
 
 def _flat(config: RunConfig) -> dict[str, Any]:
-    """The values that shape a run, by the names that flags and `--set` have."""
+    """Return the values that determine a run, by the names of flags and of `--set`."""
     values: dict[str, Any] = {"seed": config.seed, "mix": config.mix, "max_images": config.max_images}
     values |= {"datasets": len(config.data), "categories": ",".join(config.detector_categories)}
     for name, value in config.recipe.to_dict().items():
-        values |= {f"{name}.{part}": one for part, one in value.items()} if isinstance(value, dict) else {name: value}
+        values |= {f"{name}.{part}": item for part, item in value.items()} if isinstance(value, dict) else {name: value}
     return values
 
 
@@ -123,7 +123,7 @@ def again(out: Path, data: Sequence[Path], flags: Mapping[str, Any]) -> RunConfi
         flags: As in `new`.
 
     Raises:
-        UserError: There is no such run, or a flag differs from the run's.
+        UserError: There is no such run, or a flag differs from that of the run.
     """
     if not out.is_dir():
         raise UserError(f"--resume: {out}: no such run folder")
@@ -148,20 +148,20 @@ def again(out: Path, data: Sequence[Path], flags: Mapping[str, Any]) -> RunConfi
 
 
 def loading_workers(*, gpu: bool) -> int:
-    """Loading in the same process is fast enough for a CPU, which has no time to spare for others."""
+    """Return the number of loading processes. On a CPU, loading in the main process is fast enough."""
     processes = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # number of processes that torchrun starts on this machine
     return min(_MOST_WORKERS, max(1, usable_processors() // processes)) if gpu else 0
 
 
 def how_to_go_on(out: Path) -> str:
-    """Advice after an interruption, in words."""
+    """Return advice after an interruption."""
     if resumable(out):
         return "run the same command again to resume"
     return "nothing was saved yet, so the same command begins again"
 
 
 def next_command(out: Path, data: Path, splits: Sequence[str], default_out: Path, default_data: Path) -> str:
-    """The command that evaluates a run on one of its dataset's splits, with the flags that differ from the defaults."""
+    """Return the command that evaluates a run on a split of its dataset, with flags other than the defaults."""
     parts = ["skope eval"]
     tests = [split for split in splits if split not in ("train", "val")]
     if tests:

@@ -14,12 +14,12 @@ from torch import Tensor
 T = TypeVar("T")
 
 WAITING_LIMIT = timedelta(hours=2)
-"""Time for which processes wait for each other. The first one validates and writes while the others wait."""
+"""Maximum time that processes wait for each other. The first one validates and writes while the others wait."""
 
 
 @dataclass(frozen=True)
 class ProcessGroup:
-    """The processes that train one model together: one, unless torchrun started several."""
+    """Processes that train one model together: one, unless torchrun has started several."""
 
     rank: int = 0
     """Number of this process, from 0."""
@@ -28,11 +28,11 @@ class ProcessGroup:
 
     @property
     def first(self) -> bool:
-        """Whether this process is the one that writes files and prints."""
+        """Whether this process writes files and prints messages."""
         return self.rank == 0
 
     def share(self, items: Sequence[T]) -> Sequence[T]:
-        """This process's part of a batch; it may be empty."""
+        """Return this process's part of a batch; it may be empty."""
         return items[self.rank :: self.size]
 
     def sum_over_all(self, tensors: Sequence[Tensor]) -> None:
@@ -45,7 +45,7 @@ class ProcessGroup:
             tensor.copy_(total.view_as(tensor))
 
     def average_statistics(self, model: torch.nn.Module) -> None:
-        """Give all processes the mean of their running statistics, which each gathers from its own images."""
+        """Replace the running statistics by their means over all processes, because each process sees other images."""
         statistics = [buffer for buffer in model.buffers() if buffer.dtype == torch.float32]
         self.sum_over_all(statistics)
         for buffer in statistics if self.size > 1 else ():
@@ -54,7 +54,7 @@ class ProcessGroup:
 
 @contextlib.contextmanager
 def process_group(device: torch.device) -> Iterator[tuple[ProcessGroup, torch.device]]:
-    """Join the processes that torchrun's environment names, or none; yields them and the device of this process."""
+    """Join the processes in torchrun's environment, if any; yield the group and the device of this process."""
     size = int(os.environ.get("WORLD_SIZE", "1"))
     if size == 1:
         yield ProcessGroup(), device

@@ -1,10 +1,10 @@
-"""Other forms of a checkpoint: compact, which every command takes, and three for programs without skope.
+"""Export checkpoints to other formats: compact, for all commands of skope, and three for programs without skope.
 
 `state_dict` is a file of tensors for torchvision's own Keypoint R-CNN, which `torchvision_code` builds. TorchScript and
-ONNX take an `image` (3, H, W), float32 sRGB from 0 to 1, of any size, and answer, best first, in pixels of
-that image: `boxes` (N, 4) xyxy, `scores` (N,) from 0 to 1, `keypoints` (N, 33, 2) x, y and `keypoint_scores` (N, 33)
-from 0 to 1. Where the detector has learnt other categories than vehicles, `categories` (N,) follows, ids from 1 as in
-`skope.schema.CATEGORY_NAMES`: of others than vehicles the keypoint scores are 0, and the keypoints mean nothing.
+ONNX take an `image` (3, H, W), float32 sRGB from 0 to 1, of any size. They return, best first and in pixels of that
+image: `boxes` (N, 4) xyxy, `scores` (N,) from 0 to 1, `keypoints` (N, 33, 2) x, y and `keypoint_scores` (N, 33) from 0
+to 1. If the detector has other categories than vehicles, `categories` (N,) follows, ids from 1 as in
+`skope.schema.CATEGORY_NAMES`. For other categories than vehicles, keypoint scores are 0 and keypoints are undefined.
 
 Rounding to compact weights uses second moments of the layers' inputs, gathered from images.
 """
@@ -43,9 +43,9 @@ from skope.train.splits import TRAINING_SPLIT
 
 
 def torchvision_code(path: Path, config: DetectorConfig) -> str:
-    """Lines of Python that build torchvision's own model as `model` and load an exported state dict into it.
+    """Return Python code that builds torchvision's own model as `model` and loads an exported state dict into it.
 
-    Its anchors are no weights: with others a strict load succeeds as well, and the detections are wrong.
+    The anchors are not weights: with other anchors a strict load succeeds too, but the detections are wrong.
     """
     labels = "" if len(config.categories) == 1 else f"  # labels 1 to {len(config.categories)}: "
     labels += ", ".join(config.categories) if labels else ""
@@ -75,7 +75,7 @@ model.eval(){labels}"""
 
 
 def _heads(config: DetectorConfig) -> tuple[str, str]:
-    """Lines of imports, and what `KeypointRCNN` is given for the heads."""
+    """Return lines of imports, and the arguments of `KeypointRCNN` for the heads."""
     classes = 1 + len(config.categories)
     if config.heads == NETWORK_DEFAULTS.heads:
         return "", f"num_classes={classes}, num_keypoints={keypoints.K}"
@@ -99,11 +99,11 @@ class ExportSampling:
     per_call: int = 256
     """Number of positions, or regions, from each call of a layer."""
     images: int = 64
-    """Number of images of a dataset that give the layers' inputs."""
+    """Number of images of a dataset that provide the layers' inputs."""
     opset: int = 17
     """Version of ONNX's operators."""
     traced_size: tuple[int, int] = (360, 640)
-    """Height and width of the traced image. The written model takes any size."""
+    """Height and width of the traced image. The exported model takes any size."""
 
 
 EXPORT_SAMPLING: Final = ExportSampling()
@@ -149,7 +149,7 @@ def _has_moments(module: nn.Module) -> bool:
 
 
 def _sample(module: nn.Module, x: Tensor, generator: torch.Generator) -> Tensor:
-    """(M, N) inputs of some of the layer's outputs."""
+    """Return (M, N) inputs of some of the layer's outputs."""
     if not isinstance(module, nn.Conv2d):
         return x[_some(len(x), generator).to(x.device)]
     height, width = module.kernel_size
@@ -182,36 +182,35 @@ FORMAT_MARKS: Final[dict[str, Callable[[bytes], bool]]] = {
     "compact": lambda head: head[8:9] == b"{",
     "state_dict": lambda head: head.startswith(b"PK\x03\x04"),
 }
-"""Whether a file may be of a format, by its first bytes: a zip archive; the field ir_version; the header's length, then
-the header."""
+"""Return whether a file may have a format, by its first bytes: zip archive; field ir_version; length and header."""
 OUTPUT_NAMES: Final = ("boxes", "scores", "keypoints", "keypoint_scores")
 CATEGORIES_OUTPUT: Final = "categories"
 
 
 class Deployed(nn.Module):
-    """A detector for one image that returns a tuple of tensors, `OUTPUT_NAMES`."""
+    """Detector for one image that returns a tuple of tensors, `OUTPUT_NAMES`."""
 
     def __init__(self, model: KeypointRCNN) -> None:
         super().__init__()
         self.model = model
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Detect in one (3, H, W) image; returns `OUTPUT_NAMES`."""
+        """Detect in one (3, H, W) image; return `OUTPUT_NAMES`."""
         return _in_order(self.model([image])[0])
 
 
 class _Scripted(Deployed):
-    """`Deployed` around a scripted model, which answers with its losses too."""
+    """`Deployed` around a scripted model, which also returns its losses."""
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         return _in_order(self.model([image])[1][0])
 
 
 class DeployedCategories(nn.Module):
-    """A detector for one image and several categories that returns `OUTPUT_NAMES` and `CATEGORIES_OUTPUT`."""
+    """Detector for one image and several categories that returns `OUTPUT_NAMES` and `CATEGORIES_OUTPUT`."""
 
     ids: Tensor
-    """Id of the category of each of the network's labels."""
+    """Category id of each label of the network."""
 
     def __init__(self, model: KeypointRCNN, categories: Sequence[str]) -> None:
         super().__init__()
@@ -220,19 +219,19 @@ class DeployedCategories(nn.Module):
         self.register_buffer("ids", torch.tensor(ids), persistent=False)
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """Detect in one (3, H, W) image; returns `OUTPUT_NAMES` and `CATEGORIES_OUTPUT`."""
+        """Detect in one (3, H, W) image; return `OUTPUT_NAMES` and `CATEGORIES_OUTPUT`."""
         return _with_categories(self.model([image])[0], self.ids)
 
 
 class _ScriptedCategories(DeployedCategories):
-    """`DeployedCategories` around a scripted model, which answers with its losses too."""
+    """`DeployedCategories` around a scripted model, which also returns its losses."""
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         return _with_categories(self.model([image])[1][0], self.ids)
 
 
 def _with_categories(found: dict[str, Tensor], ids: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """`OUTPUT_NAMES` and `CATEGORIES_OUTPUT`, where `ids` are the categories of the network's labels."""
+    """Return `OUTPUT_NAMES` and `CATEGORIES_OUTPUT`; `ids` are the category ids of the network's labels."""
     boxes, scores, points, sure = _in_order(found)
     vehicles = (found["labels"] == 1).to(sure.dtype)
     return boxes, scores, points, sure * vehicles[:, None], ids[found["labels"]]
@@ -270,7 +269,8 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
     check_file(out, FORMAT_MARKS[to])
     model, config, metadata = load_weights(path, "cpu")
     if to == "compact":
-        # As in torchvision, trained weights come with frozen normalisation: the next training's batches may be small.
+        # As in torchvision, trained weights get frozen normalisation, because batches of the next training may be
+        # small.
         frozen = replace(config, norm="frozen")
         moments = None
         if data:
@@ -294,7 +294,7 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
 
 
 def _moments(model: KeypointRCNN, data: Path, categories: Sequence[str], console: Console) -> dict[str, Tensor]:
-    """Second moments of the layers' inputs on some of a dataset's training images, where a GPU is there on it."""
+    """Return second moments of the layers' inputs on some training images of a dataset, on a GPU if there is one."""
     opened = open_dataset(data)
     images = image_selection.take(opened.read(TRAINING_SPLIT), EXPORT_SAMPLING.images).images
     pixels = map(opened.image, images)
@@ -303,14 +303,14 @@ def _moments(model: KeypointRCNN, data: Path, categories: Sequence[str], console
 
 
 def _pickled(state: Mapping[str, Tensor]) -> bytes:
-    # Through memory: where there is no room for a file, torch's own writer ends the process.
+    # Through memory, because torch's own writer ends the process if the disk is full.
     buffer = io.BytesIO()
     torch.save(state, buffer)
     return buffer.getvalue()
 
 
 def _torchscript(model: KeypointRCNN, categories: Sequence[str]) -> bytes:
-    # Through memory: where there is no room for a file, torch's own writer ends the process.
+    # Through memory, because torch's own writer ends the process if the disk is full.
     buffer = io.BytesIO()
     deployed = _Scripted(model) if len(categories) == 1 else _ScriptedCategories(model, categories)
     torch.jit.save(torch.jit.script(deployed.eval()), buffer)

@@ -1,6 +1,6 @@
-"""Frozen normalisation multiplied into the convolution before it: the same function, without its passes over memory.
+"""Fold frozen normalisation into the preceding convolution: the same function without extra passes over memory.
 
-Weights, buffers and their names stay as they are: only methods change.
+Weights, buffers and their names are unchanged: only methods are replaced.
 """
 
 from torch import Tensor, nn
@@ -13,7 +13,7 @@ from skope.detector.backbones import convolutions_with_norms
 
 class _FoldedConv2d(nn.Conv2d):
     _norm: tuple[FrozenBatchNorm2d]
-    """The norm that is multiplied into the weights; in a tuple, so that the convolution does not own it as a module."""
+    """Norm that is folded into the weights; in a tuple, so that it is not a submodule of the convolution."""
 
     def forward(self, x: Tensor) -> Tensor:
         (norm,) = self._norm
@@ -29,7 +29,7 @@ class _Folded(FrozenBatchNorm2d):  # type: ignore[misc]
 
 
 def fold_norms(model: KeypointRCNN) -> int:
-    """Fold every frozen norm of the backbone into its convolution; returns how many there were."""
+    """Fold every frozen norm of the backbone into its convolution; return the number of norms."""
     pairs = [
         (owner.get_submodule(convolution), owner.get_submodule(norm))
         for owner, convolution, norm in convolutions_with_norms(model)

@@ -1,6 +1,6 @@
-"""The first weights of a training: trained on COCO or ImageNet, from a file, those of the package, or random.
+"""Initial weights of a training: from COCO, ImageNet, a file or the package, or random.
 
-Published weights are files of torchvision's cache, in torch's own format.
+Published weights are files in torchvision's cache, in torch's own format.
 """
 
 import argparse
@@ -35,12 +35,12 @@ _NO_WEIGHTS: Final = "not a file of weights of torch's, or one that did not arri
 
 
 def cached_weights(weights: WeightsEnum) -> Path:
-    """Path at which torchvision keeps the file of published weights, whether or not it is there."""
+    """Return the path at which torchvision stores the file of published weights, whether or not it exists."""
     return Path(torch.hub.get_dir()) / "checkpoints" / Path(urlparse(weights.url).path).name
 
 
 def fetch(init: str, weights: WeightsEnum) -> Path:
-    """The file of published weights, downloaded where it is missing; a UserError names `--init init` if that fails."""
+    """Return the file of published weights, downloaded if missing; a UserError names `--init init` if that fails."""
     path = cached_weights(weights)
     if path.is_file():
         return path
@@ -56,23 +56,23 @@ def fetch(init: str, weights: WeightsEnum) -> Path:
 
 
 def unpickled(path: Path) -> PublishedState:
-    """The state dict in a file of torch's, or under the key `model` as torchvision's training scripts save it.
+    """Return the state dict in a torch file; torchvision's training scripts store it under the key `model`.
 
-    These scripts put their arguments beside it, in a class that holds nothing but values.
+    These scripts also store their arguments, in a class that contains only values.
     """
     try:
         with torch.serialization.safe_globals([argparse.Namespace]):
             state: Any = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
-        other = re.search(r"Unsupported global: GLOBAL (\S+)", str(error))
-        if other is None:
+        blocked = re.search(r"Unsupported global: GLOBAL (\S+)", str(error))
+        if blocked is None:
             raise UserError(f"{path}: {_NO_WEIGHTS}") from None
         raise UserError(
-            f"{path}: holds more than tensors ({other[1]}), and is not loaded: it might run anything. If you trust it, "
-            "take the weights out of it in Python: checkpoint = torch.load(FILE, weights_only=False), "
+            f"{path}: holds more than tensors ({blocked[1]}), and is not loaded: it might run anything. "
+            "If you trust it, take the weights out of it in Python: checkpoint = torch.load(FILE, weights_only=False), "
             'then torch.save(checkpoint["model"], NEW), or under whichever key they are'
         ) from None
-    except Exception as error:  # torch.load raises whatever the broken archive led to
+    except Exception as error:  # torch.load raises various exceptions for broken archives
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise UserError(f"{path}: {_NO_WEIGHTS} ({reason})") from None
     if isinstance(state, dict) and isinstance(state.get("model"), dict):
@@ -87,10 +87,10 @@ INIT_CHOICES: Final = ("auto", "coco", "imagenet", "random")
 
 @dataclass(frozen=True)
 class FirstWeights:
-    """Numbers of published weights, and the bias of a new class."""
+    """Constants of published weights, and the bias of a new class."""
 
     coco_keypoints: int = 17
-    """Number of keypoints of COCO's weights."""
+    """Number of keypoints of the COCO weights."""
     coco_eps: float = 0.0
     """Value added to the variance by normalisation when these weights were trained."""
     class_bias: float = math.log(0.01)
@@ -188,13 +188,13 @@ def initialise(
             chosen = completed(given)
             return build(chosen, trainable_layers=5), chosen, "random weights"
         file = weights.path(weights.DEFAULT_WEIGHTS) if shipped else find_checkpoint(Path(init))
-        state, own = _from_file(file, scheme, categories, network)
+        state, file_config = _from_file(file, scheme, categories, network)
         words = f"weights `{file.stem}` of the package" if weights.shipped(file) else f"weights of {file}"
-        return loaded(file, state, own, words)
+        return loaded(file, state, file_config, words)
 
 
 def check_init(init: str) -> None:
-    """Raise a UserError unless a value of `--init` is one of `INIT_CHOICES` or names weights that are there."""
+    """Raise a UserError unless a value of `--init` is one of `INIT_CHOICES` or refers to existing weights."""
     if init in INIT_CHOICES:
         return
     if not Path(init).exists() and init not in weights.names():
@@ -205,20 +205,21 @@ def check_init(init: str) -> None:
 def _from_file(
     path: Path, scheme: Scheme, categories: tuple[str, ...], network: NetworkShape
 ) -> tuple[PublishedState, DetectorConfig]:
-    """Weights and config of a checkpoint of ours or a file of torchvision's names (.pth or safetensors).
+    """Return weights and config of a checkpoint of skope, or of a file with torchvision's names (.pth or safetensors).
 
-    Ours records its config. Elsewhere counted batches tell BatchNorm2d from FrozenBatchNorm2d, and eps is 0
-    for frozen weights with COCO's 17 keypoints, as torchvision has it, otherwise the backbone's usual one; as many
-    classes as `categories` are taken for those, others for the vehicles'; backbone and widths are what is asked for.
+    A checkpoint of skope contains its config. For other files, batch counts distinguish BatchNorm2d from
+    FrozenBatchNorm2d. The value of eps is 0 for frozen weights with COCO's 17 keypoints, as in torchvision, and
+    otherwise the usual one of the backbone. If the number of classes equals that of `categories`, those are assumed,
+    else vehicles only. Backbone and widths are those requested.
     """
     if path.suffix == ".safetensors":
         if _is_ours(path):
             header, state = read_checkpoint(path)
-            own = config_in(path, header)
-            if own.scheme != scheme.name:
-                raise UserError(f"{path}: has keypoint scheme {own.scheme}, the dataset has {scheme.name}")
-            _check_network(str(path), own, network)
-            return state, own
+            file_config = config_in(path, header)
+            if file_config.scheme != scheme.name:
+                raise UserError(f"{path}: has keypoint scheme {file_config.scheme}, the dataset has {scheme.name}")
+            _check_network(str(path), file_config, network)
+            return state, file_config
         with safe_open(path, framework="pt") as file:
             state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
     else:
@@ -233,14 +234,14 @@ def _from_file(
 
 
 def _plain(norm: str, network: NetworkShape) -> DetectorConfig:
-    """Return the config of weights without metadata, as far as their tensors show it."""
+    """Return the config of weights without metadata, as far as it follows from their tensors."""
     asked = network.asked
     eps = BACKBONE_CHOICES[asked.get("backbone", DEFAULT_BACKBONE)].norm_eps
     return DetectorConfig(norm=norm, norm_eps=eps, min_size=SMALL_SIZE[0], max_size=SMALL_SIZE[1], **asked)
 
 
 def _check_network(where: str, given: DetectorConfig, network: NetworkShape) -> None:
-    """Raise a UserError, beginning with `where`, unless weights of a config have the network that is asked for."""
+    """Raise a UserError, beginning with `where`, unless the config of weights has the requested network."""
     for name, value in network.asked.items():
         if getattr(given, name) != value:
             raise UserError(
@@ -260,9 +261,9 @@ def _is_ours(path: Path) -> bool:
 def _loaded(
     path: Path, state: PublishedState, categories: tuple[str, ...], config: DetectorConfig, trainable_layers: int
 ) -> KeypointRCNN:
-    """A model with the weights in `state`, which were trained for `categories`.
+    """Return a model with the weights in `state`, which were trained for `categories`.
 
-    A predictor for COCO's 17 keypoints makes room for a new one for 33.
+    A predictor for COCO's 17 keypoints is replaced by a new one for 33.
     """
     count = _num_keypoints(path, state)
     if count not in (keypoints.K, FIRST_WEIGHTS.coco_keypoints):
@@ -283,11 +284,11 @@ def _loaded(
 def _with_categories(
     path: Path, state: PublishedState, categories: tuple[str, ...], drawn: PublishedState, wanted: tuple[str, ...]
 ) -> PublishedState:
-    """`state`, trained for `categories`, with a box predictor for those that are wanted: new rows are those of `drawn`.
+    """Return `state`, trained for `categories`, with a box predictor for the wanted ones; new rows are from `drawn`.
 
-    The rows of the predictor's weights are those of the background and of each category, one for classes and four for
-    boxes. New classes begin as rare: the scores of those taken over stay about what they were, where classes as likely
-    as the background would take most of them away.
+    The predictor's weights have rows for the background and each category: one for classes and four for boxes. New
+    classes start as rare. The scores of the existing classes then stay nearly unchanged, whereas new classes as likely
+    as the background would reduce them strongly.
     """
     before, after = (("background", *names) for names in (categories, wanted))
     out = dict(state)
@@ -295,8 +296,8 @@ def _with_categories(
         if name not in state or len(state[name]) % len(before):
             raise UserError(f"{path}: tensor {name}: expected rows for {', '.join(before)}")
         old, new = (
-            one.view(len(names), -1, *one.shape[1:])
-            for one, names in ((state[name], before), (drawn[name].clone(), after))
+            rows.view(len(names), -1, *rows.shape[1:])
+            for rows, names in ((state[name], before), (drawn[name].clone(), after))
         )
         if old.shape[1:] != new.shape[1:]:
             raise UserError(f"{path}: tensor {name}: expected rows for {', '.join(before)}")

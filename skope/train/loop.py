@@ -1,4 +1,4 @@
-"""Train a detector: set the run up, learn epoch by epoch, validate and save."""
+"""Train a detector: set up the run, train epoch by epoch, validate and save."""
 
 import contextlib
 import math
@@ -45,17 +45,17 @@ class TrainingIntervals:
     """Intervals of saving and drawing, and limits of validation."""
 
     checkpoint_s: float = 60.0
-    """Least time between checkpoints, seconds. Each is half a gigabyte."""
+    """Minimum time between checkpoints, seconds. Each takes half a gigabyte."""
     state_s: float = 600.0
-    """Least time between saved states, seconds."""
+    """Minimum time between saved states, seconds."""
     curves_s: float = 5.0
-    """Least time between drawn curves, seconds. Drawing takes a third of a second."""
+    """Minimum time between drawn curves, seconds. Drawing takes a third of a second."""
     least_validated: int = 4
-    """Least number of validated images."""
+    """Minimum number of validated images."""
     validated_part: int = 5
-    """An epoch over few images validates one image for this many that it learns from."""
+    """An epoch over few images validates one image per this number of training images."""
     least_inside: float = 0.8
-    """Share of the labelled keypoints that must lie inside their vehicle's box in the first batch."""
+    """Minimum share of the labelled keypoints of the first batch that must lie inside their vehicle's box."""
 
 
 TRAINING_INTERVALS: Final = TrainingIntervals()
@@ -63,12 +63,12 @@ TRAINING_INTERVALS: Final = TrainingIntervals()
 
 @dataclass(frozen=True, kw_only=True)
 class CheckpointPolicy:
-    """When the state of a run is written, and how much of it stays."""
+    """Times at which the state of a run is written, and number of files that are kept."""
 
     keep: int = 1
-    """Checkpoints of epochs that stay, beside the best one."""
+    """Number of epoch checkpoints that are kept, in addition to the best one."""
     checkpoint_interval_s: float = TRAINING_INTERVALS.checkpoint_s
-    """A checkpoint is written after an epoch only when the last one is older than this, seconds."""
+    """Minimum age of the last checkpoint for another one to be written after an epoch, seconds."""
     state_interval_s: float = TRAINING_INTERVALS.state_s
     """Interval between saves of the state within an epoch, seconds."""
 
@@ -85,24 +85,24 @@ def train(
 ) -> Path:
     """Train a detector.
 
-    A checkpoint is written after the last epoch, and after each other one as `saving` has it.
+    A checkpoint is written after the last epoch, and after other epochs as set by `saving`.
 
     Args:
         config: Datasets, recipe and seed.
         out: The run folder.
-        device: Where to train; of several processes each takes its own GPU.
-        workers: Processes that load images beside the training; 0: none.
-        resume: Go on with the run in `out`.
-        console: Where messages and progress go.
-        saving: When the state is written.
+        device: Device for training; each of several processes uses its own GPU.
+        workers: Number of additional processes that load images; 0: none.
+        resume: Whether to resume the run in `out`.
+        console: Receives messages and progress.
+        saving: Times at which the state is written.
 
     Returns:
         The last checkpoint.
 
     Raises:
-        UserError: A dataset holds nothing to learn from, an image is broken, the folder holds another run or another
-            process writes to it, the loss is no longer finite, or memory is too little.
-        KeyboardInterrupt: After SIGINT or SIGTERM, when the state is saved.
+        UserError: A dataset has no training data, an image is broken, the folder contains another run or is in use by
+            another process, the loss is no longer finite, or memory is insufficient.
+        KeyboardInterrupt: After SIGINT or SIGTERM, when the state has been saved.
     """
     with (
         distributed.process_group(device) as (processes, device),
@@ -143,7 +143,7 @@ def train(
 
 
 def _steps_of(training_set: TrainingSet, config: RunConfig) -> int:
-    """Steps of an epoch."""
+    """Return the number of steps of an epoch."""
     return math.ceil(len(training_set) / config.recipe.batch_size)
 
 
@@ -156,7 +156,7 @@ def _read(root: Path, config: RunConfig) -> TrainingSource:
 
 @dataclass
 class _Run:
-    """A training under way: what its epochs share."""
+    """A training in progress: objects that its epochs share."""
 
     config: RunConfig
     out: Path
@@ -169,15 +169,15 @@ class _Run:
     stop: StopRequest
     console: Console
     file: AnnotationFile
-    """The images that are validated on; none where none of them shows a vehicle."""
+    """Validation images; none if no image shows a vehicle."""
     paths: Sequence[Path]
-    """Their files."""
+    """Files of these images."""
     loader: Loader
     board: Any
-    """TensorBoard's writer; None where there is none, and in other processes than the first."""
+    """Writer of TensorBoard; None without the extra, and in all processes except the first."""
     progress: TrainingProgress
     saved_at: float
-    """When the state was saved last, as `time.monotonic` has it; likewise those below."""
+    """Time of the last saved state, from `time.monotonic`; the following fields likewise."""
     checkpoint_at: float
     drawn_at: float
 
@@ -196,7 +196,7 @@ class _Run:
         stop: StopRequest,
         console: Console,
     ) -> Self:
-        """Make ready what the epochs need: images to validate on, what loads images, what shows progress."""
+        """Prepare the objects for the epochs: validation images, loader and progress display."""
         recipe = config.recipe
         left = len(training_set) * (recipe.epochs - training.epochs_done) - training.steps_done * recipe.batch_size
         most = min(
@@ -205,8 +205,8 @@ class _Run:
         )
         file, paths = splits.validation_images(parts, most)
         if file.images and all(vehicle.ignored for vehicle in file.annotations):
-            said = f"{counted(len(file.images), 'image')} to validate on show no vehicle: nothing is validated"
-            console.say(f"{said} (--val-fraction)")
+            message = f"{counted(len(file.images), 'image')} to validate on show no vehicle: nothing is validated"
+            console.say(f"{message} (--val-fraction)")
             file = replace(file, images=(), annotations=(), road_users=())
         loader = Loader(
             training_set,
@@ -239,7 +239,7 @@ class _Run:
         )
 
     def go(self) -> Path:
-        """Train all epochs that are left; returns the last checkpoint."""
+        """Train all remaining epochs; return the last checkpoint."""
         # Loading continues through all epochs: restarting the processes takes seconds, longer than a small epoch.
         board = contextlib.nullcontext() if self.board is None else contextlib.closing(self.board)
         with self.progress, board, contextlib.closing(self._loaded()) as samples:
@@ -251,27 +251,27 @@ class _Run:
 
     @property
     def _steps(self) -> int:
-        """Steps of an epoch."""
+        """Number of steps of an epoch."""
         return _steps_of(self.training_set, self.config)
 
     @property
     def _step(self) -> int:
-        """Steps done over the whole run."""
+        """Number of steps done in the whole run."""
         return self.training.epochs_done * self._steps + self.training.steps_done
 
     def _left(self, epoch: int) -> list[list[Draw]]:
-        """The draws of each step that is left of an epoch, of all processes together."""
+        """Yield the draws of each remaining step of an epoch, of all processes together."""
         draws = training_samples.order(self.training_set.sizes, self.config.mix, seed=self.config.seed, epoch=epoch)
         size = self.config.recipe.batch_size
         groups = [draws[i : i + size] for i in range(0, len(draws), size)]
         return groups[self.training.steps_done :] if epoch == self.training.epochs_done else groups
 
     def _epoch(self, samples: Iterator[list[TrainingSample]]) -> None:
-        """Train what is left of one pass over the images, which ends with its mean losses in the history."""
+        """Train the remaining part of one pass over the images, which ends with its mean losses in the history."""
         training, recipe, seed = self.training, self.config.recipe, self.config.seed
         epoch = training.epochs_done
         training.model.train()
-        # As many of the samples as there are groups, and none of the next epoch's.
+        # One sample per group, and none of the next epoch.
         for group, batch in zip(self._left(epoch), samples, strict=False):
             if self._step == 0 and batch:
                 _check_first(batch, self.console)
@@ -297,14 +297,14 @@ class _Run:
         self.processes.average_statistics(training.model)
 
     def _loaded(self) -> Generator[list[TrainingSample]]:
-        """This process's samples of each step; where waiting is interrupted, the state of the run is saved first."""
+        """Yield this process's samples of each step; if waiting is interrupted, the state of the run is saved first."""
         epochs = range(self.training.epochs_done, self.config.recipe.epochs)
         try:
             shares = (self.processes.share(group) for epoch in epochs for group in self._left(epoch))
             largest = math.ceil(min(self.config.recipe.batch_size, len(self.training_set)) / self.processes.size)
             yield from self.loader.batches(shares, largest)
         except KeyboardInterrupt:
-            if self.processes.size == 1:  # several would have to agree
+            if self.processes.size == 1:  # several processes would have to agree
                 self._save_within(stopped=False)
             raise
 
@@ -325,7 +325,7 @@ class _Run:
             raise KeyboardInterrupt
 
     def _validate_and_save(self) -> None:
-        """Validate after an epoch; write curves, predictions to look at, and the checkpoint."""
+        """Validate after an epoch; write curves, sample predictions, and the checkpoint."""
         training, recipe, better = self.training, self.config.recipe, False
         row = training.history[-1]
         if self.file.images:
@@ -349,7 +349,7 @@ class _Run:
             run_folder.save_epoch(self.out, self.config, training, keep=self.saving.keep)
             self._write_card()
             self.checkpoint_at = self.saved_at = time.monotonic()
-        if better:  # after the state, without which the epoch is lost where there is no room for both
+        if better:  # after the state, without which the epoch is lost if the disk is too full for both
             run_folder.save_best(self.out, self.config, training)
 
     def _write_card(self) -> None:
@@ -357,23 +357,25 @@ class _Run:
         counts = [
             (len(part.learnt.images), sum(len(each.boxes_xyxy) for each in part.vehicles())) for part in self.parts
         ]
-        others = self.training_set.road_users
-        write_text(self.out / "README.md", run_folder.text(self.config, self.training, datasets, counts, others))
+        road_user_count = self.training_set.road_users
+        write_text(
+            self.out / "README.md", run_folder.text(self.config, self.training, datasets, counts, road_user_count)
+        )
 
 
 @contextlib.contextmanager
 def _isolated_randomness(device: torch.device) -> Iterator[None]:
-    """Leave torch's random state outside as it was."""
+    """Restore torch's random state afterwards."""
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
         yield
 
 
 @contextlib.contextmanager
 def _explain_out_of_memory(config: RunConfig) -> Iterator[None]:
-    """Turn an error of too little memory into a UserError that says what to lower."""
+    """Turn an out-of-memory error into a UserError that names the settings to reduce."""
     try:
         yield
-    except RuntimeError as error:  # torch.OutOfMemoryError is one; the CPU's has no class of its own
+    except RuntimeError as error:  # torch.OutOfMemoryError is one; on a CPU there is no separate class
         if not isinstance(error, torch.OutOfMemoryError) and "can't allocate memory" not in str(error):
             raise
         recipe = config.recipe
@@ -389,7 +391,7 @@ def _explain_out_of_memory(config: RunConfig) -> Iterator[None]:
 
 
 def _check_first(batch: Sequence[TrainingSample], console: Console) -> None:
-    """Keypoint R-CNN can only learn points inside their box: stop when boxes and keypoints do not belong together."""
+    """Raise a UserError if keypoints do not belong to the boxes: Keypoint R-CNN only learns points inside their box."""
     share = training_samples.mean_share_inside(batch)
     if share is None or share >= TRAINING_INTERVALS.least_inside:
         return

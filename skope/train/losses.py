@@ -31,7 +31,7 @@ from skope.train.target_batch import HeightWidth, Target, TargetBatch, to_device
 from skope.train.teacher import BOX_LOSS_BETA, Teacher, TeacherOutputs
 
 _LEAST_SIDE_PX: Final = 1.0
-"""Least side of a box of the second pass, pixels inside the network."""
+"""Minimum side of a box of the second pass, pixels inside the network."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,12 @@ class LossSettings:
     """Settings of the losses in addition to those of the model."""
 
     regions: int
-    """Regions of an image that the second stage learns from, at most a quarter of them vehicles and other road
+    """Number of regions per image that the second stage is trained on; at most a quarter are vehicles and other road
     users."""
     keypoint_regions: int | None
-    """Number of an image's vehicles that enter the keypoint head; None for all."""
+    """Number of vehicles per image that enter the keypoint head; None for all."""
     ignore_below: float
-    """Shortest edge inside the network below which a box is ignored, pixels."""
+    """Length of the shorter edge inside the network below which a box is ignored, pixels."""
 
 
 def detection_losses(
@@ -85,13 +85,13 @@ def detection_losses(
 def network_images(
     transform: GeneralizedRCNNTransform, pixels: Sequence[Tensor]
 ) -> tuple[ImageList, list[HeightWidth]]:
-    """Images as they enter the backbone, as `transform` makes them, and their sizes before."""
+    """Return images for the backbone, as from `transform`, and their original sizes."""
     device = pixels[0].device
     mean, deviation = (to_device(each, device)[:, None, None] for each in (transform.image_mean, transform.image_std))
     before: list[HeightWidth] = [(image.shape[1], image.shape[2]) for image in pixels]
     inside: list[HeightWidth] = [(0, 0)] * len(pixels)
     resized: dict[HeightWidth, Tensor] = {}
-    members = {size: [i for i, own in enumerate(before) if own == size] for size in dict.fromkeys(before)}
+    members = {size: [i for i, image_size in enumerate(before) if image_size == size] for size in dict.fromkeys(before)}
     for size, group in members.items():
         stack = (torch.stack([pixels[i] for i in group]).float() / 255 - mean) / deviation
         short = transform.torch_choice(transform.min_size)
@@ -117,9 +117,10 @@ def network_images(
 def _proposals(
     rpn: RegionProposalNetwork, images: ImageList, features: dict[str, Tensor], batch: TargetBatch
 ) -> tuple[list[Tensor], dict[str, Tensor]]:
-    """Each image's proposals (P, 4), and the losses of the network that makes them.
+    """Return each image's proposals (P, 4), and the losses of the proposal network.
 
-    Results of its convolutions become float32: decoded in bfloat16, boxes at 600 px would lie on a grid of 4 px.
+    Results of its convolutions are converted to float32: decoded in bfloat16, boxes at 600 px would lie on a grid of 4
+    px.
     """
     maps = list(features.values())
     logits, offsets = ([each.float() for each in part] for part in rpn.head(maps))
@@ -152,47 +153,47 @@ def _best_boxes(
     sizes: Sequence[HeightWidth],
     per_level: list[int],
 ) -> list[Tensor]:
-    """The boxes (P, 4) of each image that most likely hold something, none of them much the same as another."""
+    """Return the best proposals (P, 4) of each image, without near duplicates."""
     best = rpn._get_top_n_idx(objectness, per_level)
     boxes = _moved(anchors[best], _pick(deltas, best), rpn.box_coder)
     scores = objectness.gather(1, best).sigmoid()
     boxes = _clipped(boxes, sizes)
-    there = ((boxes[..., 2:] - boxes[..., :2]) >= rpn.min_size).all(dim=2) & (scores >= rpn.score_thresh)
+    valid = ((boxes[..., 2:] - boxes[..., :2]) >= rpn.min_size).all(dim=2) & (scores >= rpn.score_thresh)
     counts = [min(count, rpn.pre_nms_top_n()) for count in per_level]
     choose = _chosen_at_once if boxes.is_cuda else _chosen_in_turn
-    return choose(boxes, scores, there, counts, most=rpn.nms_thresh, first=rpn.post_nms_top_n())
+    return choose(boxes, scores, valid, counts, most=rpn.nms_thresh, first=rpn.post_nms_top_n())
 
 
 def _chosen_in_turn(
-    boxes: Tensor, scores: Tensor, there: Tensor, counts: list[int], *, most: float, first: int
+    boxes: Tensor, scores: Tensor, valid: Tensor, counts: list[int], *, most: float, first: int
 ) -> list[Tensor]:
-    """The `first` best boxes of each image that overlap no better one of their level by more than `most`.
+    """Return the `first` best boxes of each image that no better box of their level overlaps by more than `most`.
 
     Args:
-        boxes: (B, N, 4) xyxy, level after level, each level's from the best to the worst.
+        boxes: (B, N, 4) xyxy, level by level, best first in each level.
         scores: (B, N).
-        there: (B, N) bool; the others are left out.
-        counts: How many of the N boxes each level has.
-        most: Greatest IoU.
-        first: How many boxes of an image at most.
+        valid: (B, N) bool; other boxes are excluded.
+        counts: Number of boxes of each level.
+        most: Maximum IoU.
+        first: Maximum number of boxes per image.
     """
     levels = torch.repeat_interleave(torch.arange(len(counts)), torch.tensor(counts)).to(boxes.device)
     kept = []
-    for own, score, mine in zip(boxes, scores, there, strict=True):
-        keep = batched_nms(own[mine], score[mine], levels[mine], most)
-        kept.append(own[mine][keep[:first]])
+    for image_boxes, score, image_valid in zip(boxes, scores, valid, strict=True):
+        keep = batched_nms(image_boxes[image_valid], score[image_valid], levels[image_valid], most)
+        kept.append(image_boxes[image_valid][keep[:first]])
     return kept
 
 
 def _chosen_at_once(
-    boxes: Tensor, scores: Tensor, there: Tensor, counts: list[int], *, most: float, first: int
+    boxes: Tensor, scores: Tensor, valid: Tensor, counts: list[int], *, most: float, first: int
 ) -> list[Tensor]:
-    """As `_chosen_in_turn`, in a form that suits a GPU."""
-    levels = zip(torch.split(boxes, counts, dim=1), torch.split(there, counts, dim=1), strict=True)
+    """Return the same as `_chosen_in_turn`, with operations that suit a GPU."""
+    levels = zip(torch.split(boxes, counts, dim=1), torch.split(valid, counts, dim=1), strict=True)
     stays = torch.cat([not_overlapped(*level, most) for level in levels], dim=1)
     order = scores.masked_fill(~stays, -1.0).argsort(dim=1, descending=True, stable=True)
     numbers = stays.sum(dim=1).clamp(max=first).tolist()
-    return [own[at[:number]] for own, at, number in zip(boxes, order, numbers, strict=True)]
+    return [image_boxes[at[:number]] for image_boxes, at, number in zip(boxes, order, numbers, strict=True)]
 
 
 # --------------------------------------------------------------------------------------------------------------- heads
@@ -208,7 +209,7 @@ def _head_losses(
     looks_again: bool,
     lesson: TeacherOutputs | None,
 ) -> dict[str, Tensor]:
-    """The losses of the second stage: class, box and keypoints; the boxes' twice where it `looks_again`."""
+    """Return the losses of the second stage: class, box and keypoints; the box loss twice with `looks_again`."""
     boxes, labels, matched, drawn = _regions(heads, proposals, batch, rules)
     pooled = heads.box_roi_pool(features, list(boxes), sizes)
     logits, deltas = (each.float() for each in heads.box_predictor(heads.box_head(pooled)))
@@ -257,22 +258,22 @@ def _second_look(
     counts = assigned.sum(dim=1).tolist()
     pooled = heads.box_roi_pool(features, list(torch.split(found, counts)), sizes)
     _, deltas = heads.box_predictor(heads.box_head(pooled))
-    own = offsets_of_label(deltas.float(), labels[assigned])
-    everyone = torch.ones(own.shape[:1], dtype=torch.bool, device=own.device)[None]
-    return _box_error(own[None], truth[assigned][None], found[None], heads.box_coder.weights, everyone).sum()
+    class_offsets = offsets_of_label(deltas.float(), labels[assigned])
+    everyone = torch.ones(class_offsets.shape[:1], dtype=torch.bool, device=class_offsets.device)[None]
+    return _box_error(class_offsets[None], truth[assigned][None], found[None], heads.box_coder.weights, everyone).sum()
 
 
 def _regions(
     heads: RoIHeads, proposals: list[Tensor], batch: TargetBatch, rules: LossSettings
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Training sample of the second stage: boxes (B, S, 4), labels, ground-truth indices and sampled mask (B, S)."""
+    """Return the training sample of the second stage: boxes (B, S, 4), labels, ground-truth indices and mask (B, S)."""
     lengths = to_device([len(each) for each in proposals], batch.boxes.device)[:, None]
     padded = torch.nn.utils.rnn.pad_sequence(proposals, batch_first=True)
     boxes = torch.cat([padded, batch.boxes], dim=1)
-    there = torch.cat([torch.arange(padded.shape[1], device=lengths.device) < lengths, batch.present], dim=1)
+    present = torch.cat([torch.arange(padded.shape[1], device=lengths.device) < lengths, batch.present], dim=1)
     labels, matched = _assigned(heads.proposal_matcher, boxes, batch)
     at, drawn = sample_anchors(
-        labels.where(there, MATCHING_LIMITS.discarded), rules.regions, heads.fg_bg_sampler.positive_fraction
+        labels.where(present, MATCHING_LIMITS.discarded), rules.regions, heads.fg_bg_sampler.positive_fraction
     )
     return _pick(boxes, at), labels.gather(1, at), matched.gather(1, at), drawn
 
@@ -288,7 +289,7 @@ def _keypoint_losses(
     rules: LossSettings,
     lesson: TeacherOutputs | None,
 ) -> dict[str, Tensor]:
-    """The loss over vehicles with a labelled point, at most `keypoint_regions` of an image, drawn without preference.
+    """Return the loss over vehicles with a labelled point, at most `keypoint_regions` per image, drawn at random.
 
     The others add nothing to the loss, which is a mean over labelled points.
     """
@@ -303,14 +304,14 @@ def _keypoint_losses(
     points = batch.keypoints[image, matched.gather(1, at)][chosen]
     of_image = list(torch.split(regions, counts))
     pooled = heads.keypoint_roi_pool(features, of_image, sizes)
-    maps = heads.keypoint_predictor(heads.keypoint_head(pooled)).float().contiguous()  # the loss takes no other layout
+    maps = heads.keypoint_predictor(heads.keypoint_head(pooled)).float().contiguous()  # required by the loss
     loss: Tensor = keypointrcnn_loss(maps, [regions], [points], [torch.arange(len(regions), device=regions.device)])
     taught = {} if lesson is None else lesson.of_keypoints(of_image, sizes, maps, points[..., 2] > 0)
     return {"loss_keypoint": loss, **taught}
 
 
 def _assigned(matcher: Matcher, boxes: Tensor, batch: TargetBatch) -> tuple[Tensor, Tensor]:
-    """The answer of `assign` by the thresholds of one of torchvision's matchers."""
+    """Return the result of `assign` for the thresholds of one of torchvision's matchers."""
     return assign(
         boxes,
         batch,
@@ -321,15 +322,15 @@ def _assigned(matcher: Matcher, boxes: Tensor, batch: TargetBatch) -> tuple[Tens
 
 
 def _box_error(found: Tensor, truth: Tensor, boxes: Tensor, weights: Sequence[float], counted: Tensor) -> Tensor:
-    """(B, S) errors of offsets `found` (B, S, 4) from `boxes` to `truth`; 0 where not `counted`."""
+    """Return (B, S) errors of offsets `found` (B, S, 4) from `boxes` to `truth`; 0 where not `counted`."""
     wanted = encode_boxes(truth.flatten(0, 1), boxes.flatten(0, 1), to_device(weights, boxes.device)).view_as(found)
-    # Where nothing is counted the offset may be infinite, and infinity times nothing is not a number.
+    # Without the mask, an infinite offset times 0 would not be a number.
     wanted = wanted.where(counted[..., None], found.detach())
     return functional.smooth_l1_loss(found, wanted, beta=BOX_LOSS_BETA, reduction="none").sum(dim=2)
 
 
 def _moved(boxes: Tensor, offsets: Tensor, coder: BoxCoder) -> Tensor:
-    """(B, S, 4) boxes moved by offsets, as torchvision decodes them."""
+    """Return (B, S, 4) boxes moved by offsets, as torchvision decodes them."""
     sides = boxes[..., 2:] - boxes[..., :2]
     centres = boxes[..., :2] + 0.5 * sides
     x, y, w, h = (part / weight for part, weight in zip(offsets.unbind(-1), coder.weights, strict=True))
@@ -339,11 +340,11 @@ def _moved(boxes: Tensor, offsets: Tensor, coder: BoxCoder) -> Tensor:
 
 
 def _clipped(boxes: Tensor, sizes: Sequence[HeightWidth]) -> Tensor:
-    """(B, S, 4) boxes clipped to the B images of these sizes."""
+    """Return (B, S, 4) boxes clipped to the B images of these sizes."""
     limits = to_device([[width, height, width, height] for height, width in sizes], boxes.device)[:, None]
     return torch.minimum(boxes.clamp(min=0), limits)
 
 
 def _pick(rows: Tensor, at: Tensor) -> Tensor:
-    """(B, S, 4) rows (B, N, 4) at indices (B, S)."""
+    """Return (B, S, 4) rows of (B, N, 4) at indices (B, S)."""
     return rows.gather(1, at[..., None].expand(-1, -1, rows.shape[2]))

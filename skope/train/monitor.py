@@ -1,4 +1,4 @@
-"""Progress of a training: messages before it begins, bar and figures, curves, pictures, TensorBoard."""
+"""Progress of a training: initial messages, progress bar and losses, curves, images, TensorBoard."""
 
 import importlib.util
 import time
@@ -28,18 +28,18 @@ class MonitorLimits:
     """Settings of the progress reports of a run."""
 
     measured_steps: int = 2
-    """Number of timed steps that the remaining time of the run is estimated from."""
+    """Number of timed steps from which the remaining time of the run is estimated."""
     sheet_images: int = 4
     """Number of images on the progress sheet."""
     drawn_score: float = 0.5
-    """Score from which detections are drawn."""
+    """Score above which detections are drawn."""
 
 
 MONITOR_LIMITS: Final = MonitorLimits()
 
 
 class TrainingProgress:
-    """A bar over all images of the run with the epoch's mean losses; says once how long the run will take."""
+    """Progress bar over all images of the run with the mean losses of the epoch; reports the expected run time once."""
 
     def __init__(self, images: int, epochs: int, console: Console) -> None:
         self._console = console
@@ -59,12 +59,12 @@ class TrainingProgress:
         self._console.say(text)
 
     def tick(self, epoch: int, images: int, losses: Mapping[str, float]) -> None:
-        """Note that a step over `images` images is done."""
+        """Record that a step over `images` images is done."""
         values = {name.removeprefix("loss_"): f"{value:.3f}" for name, value in losses.items()}
         self._bar.set_postfix({"epoch": f"{epoch + 1}/{self._epochs}", **values}, refresh=False)
         self._bar.update(images)
         self._seen += 1
-        if self._seen == 1:  # the first step is slower: libraries choose algorithms and ask for memory
+        if self._seen == 1:  # the first step is slower: libraries select algorithms and allocate memory
             self._since, self._images = time.perf_counter(), 0
             return
         self._images += images
@@ -75,7 +75,7 @@ class TrainingProgress:
 
 
 def figures_text(figures: Mapping[str, Any]) -> str:
-    """The figures of a validation (`skope.train.validate.validate`) in one line."""
+    """Return the figures of a validation (`skope.train.validate.validate`) on one line."""
 
     def percent(name: str) -> str:
         return "-" if figures[name] is None else f"{figures[name]:.1%}"
@@ -104,7 +104,7 @@ def announce(
         training: The state at the start or after resuming.
         training_set: Training images of all datasets.
         parts: The datasets, one by one.
-        where: Device and processes, in words.
+        where: Description of device and processes.
         console: Receives the messages.
     """
     recipe = config.recipe
@@ -148,7 +148,7 @@ CURVE_TITLES: Final = {
 
 
 def curves(path: Path, history: Sequence[Mapping[str, Any]]) -> None:
-    """Write losses, and the validation's figures where there are any, over epochs as PNG."""
+    """Write the losses, and the validation figures if there are any, over epochs as a PNG image."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
@@ -162,12 +162,12 @@ def curves(path: Path, history: Sequence[Mapping[str, Any]]) -> None:
         style = {"color": "black", "linewidth": 2} if name == "loss" else {}
         axes[0].plot(epochs, [row[name] for row in history], marker=".", label=name.removeprefix("loss_"), **style)
     axes[0].set(xlabel="epoch", ylabel="mean loss", yscale="log", title="training")
-    others = {
+    category_titles = {
         name: name.replace("_", " ")
         for name in (validated[0]["validation"] if validated else ())
         if name.removesuffix("_recall") in CATEGORY_NAMES
     }
-    for name, label in {**CURVE_TITLES, **others}.items() if validated else ():
+    for name, label in {**CURVE_TITLES, **category_titles}.items() if validated else ():
         rows = [(row["epoch"], row["validation"][name]) for row in validated]
         known = [(epoch, value) for epoch, value in rows if value is not None]
         axes[1].plot([epoch for epoch, _ in known], [value for _, value in known], marker=".", label=label)
@@ -186,46 +186,46 @@ def curves(path: Path, history: Sequence[Mapping[str, Any]]) -> None:
 def prediction_sheet(
     path: Path, model: KeypointRCNN, file: AnnotationFile, images: Sequence[Path], epoch: int, device: torch.device
 ) -> None:
-    """Write predictions (right) beside ground truth (left) for the first images that hold vehicles.
+    """Write predictions (right) beside ground truth (left) for the first images with vehicles.
 
     Args:
-        path: The picture to write.
+        path: Path of the image to write.
         model: The model.
         file: The ground truth.
         images: Files of its images.
         epoch: Number of the epoch, for the caption.
-        device: Where the model is.
+        device: Device of the model.
     """
     vehicles, users = file.by_image(), file.road_users_by_image()
     pairs: list[Pixels] = []
-    # The same images each time, so that one sees them change.
-    for image, place in zip(file.images, images, strict=True):
+    # The same images each time, so that changes are visible.
+    for image, path_of_image in zip(file.images, images, strict=True):
         if len(pairs) == 2 * MONITOR_LIMITS.sheet_images:
             break
         truth: list[Annotation] = vehicles[image.id]
         if all(vehicle.ignored for vehicle in truth):
             continue
-        pixels = read_image(place, size=(image.width, image.height))
-        found, others = validate.detect_in_image(
+        pixels = read_image(path_of_image, size=(image.width, image.height))
+        found, road_users = validate.detect_in_image(
             model, pixels, image.id, device, MONITOR_LIMITS.drawn_score, file.categories
         )
         labels = draw.annotations(pixels, truth, users[image.id], scheme=file.scheme)
-        answers = draw.results(pixels, found, others, scheme=file.scheme)
+        answers = draw.results(pixels, found, road_users, scheme=file.scheme)
         pairs.append(draw.caption(labels, f"{image.file_name}: ground truth"))
-        pairs.append(draw.caption(answers, f"after epoch {epoch}: {len(found) + len(others)} found"))
+        pairs.append(draw.caption(answers, f"after epoch {epoch}: {len(found) + len(road_users)} found"))
     if pairs:
         draw.write(path, draw.contact_sheet(pairs, 2))
 
 
 class ScalarWriter(Protocol):
-    """The methods of TensorBoard's SummaryWriter that are used."""
+    """Methods of TensorBoard's SummaryWriter that are used."""
 
     def add_scalar(self, tag: str, scalar_value: float, global_step: int) -> None: ...
     def close(self) -> None: ...
 
 
 def tensorboard(folder: Path, purge_step: int) -> ScalarWriter | None:
-    """A writer into `folder` that forgets what lies there from `purge_step` on; None without the extra `logging`."""
+    """Return a writer into `folder` that discards entries from `purge_step` on; None without the extra `logging`."""
     if importlib.util.find_spec("tensorboard") is None:
         return None
     from torch.utils.tensorboard import SummaryWriter

@@ -1,4 +1,4 @@
-"""The shape of the network that a recipe asks for: its backbone, and how wide its parts are."""
+"""Shape of the network that a recipe requests: backbone and widths."""
 
 from dataclasses import asdict, dataclass
 from typing import Any, Final
@@ -10,18 +10,18 @@ from skope.errors import one_of
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkShape:
-    """Fields of `DetectorConfig` that a recipe may set; None: as the first weights have it, else torchvision's own."""
+    """Fields of `DetectorConfig` that a recipe may set; None: that of the initial weights, else torchvision's own."""
 
     backbone: str | None = None
-    """A name in `skope.detector.backbones.BACKBONE_CHOICES`."""
+    """Name in `skope.detector.backbones.BACKBONE_CHOICES`."""
     pyramid_width: int | None = None
-    """Channels of the pyramid's maps."""
+    """Number of channels of the pyramid's maps."""
     keypoint_layers: int | None = None
-    """Convolutions of the keypoint head."""
+    """Number of convolutions of the keypoint head."""
     keypoint_width: int | None = None
-    """Channels of each of these."""
+    """Number of channels of each of these convolutions."""
     box_width: int | None = None
-    """Channels of both layers of the box head."""
+    """Number of channels of both layers of the box head."""
 
     def __post_init__(self) -> None:
         if self.backbone is not None:
@@ -32,9 +32,9 @@ class NetworkShape:
 
     @property
     def asked(self) -> dict[str, Any]:
-        """The values that are asked for, by field."""
+        """Return the requested values by field."""
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 AS_GIVEN: Final = NetworkShape()
-"""Asks for nothing."""
+"""Shape that requests nothing."""

@@ -1,4 +1,4 @@
-"""Stochastic gradient descent on a model's weights, its learning rate step by step, and the weights' moving average."""
+"""Stochastic gradient descent with a learning rate per step, and a moving average of the weights."""
 
 import math
 from typing import Any
@@ -12,15 +12,15 @@ from skope.train.recipe import Recipe
 
 
 def placed(model: KeypointRCNN, recipe: Recipe, device: torch.device) -> KeypointRCNN:
-    """The model on a device, in the recipe's memory layout."""
+    """Return the model on a device, in the recipe's memory layout."""
     layout = torch.channels_last if recipe.channels_last else torch.contiguous_format
     return model.to(device=device, memory_format=layout)
 
 
 def make_weight_ema(model: KeypointRCNN, recipe: Recipe) -> AveragedModel | None:
-    """An exponential moving average (EMA) of the model's weights and statistics over the steps to come.
+    """Exponential moving average (EMA) of the model's weights and statistics over the steps.
 
-    In the first steps it forgets faster, or the first weights would weigh for long.
+    In the first steps it decays faster, because the initial weights would otherwise have influence for long.
     """
     decay = recipe.ema_decay
     if decay is None:
@@ -34,7 +34,7 @@ def make_weight_ema(model: KeypointRCNN, recipe: Recipe) -> AveragedModel | None
 
 
 def learning_rate_at(recipe: Recipe, step: int, steps: int) -> float:
-    """Learning rate at `step`, from 0 and counted over the run, where an epoch has `steps`: warm-up, then its fall."""
+    """Return the learning rate at `step`, counted from 0 over the run, if an epoch has `steps`: warm-up, then decay."""
     warm = min(1.0, (step + 1) / recipe.warmup_steps) if recipe.warmup_steps else 1.0
     if recipe.cosine_to is None:
         return recipe.learning_rate * warm * float(recipe.gamma ** (step // steps // recipe.decay_epochs))
@@ -43,7 +43,7 @@ def learning_rate_at(recipe: Recipe, step: int, steps: int) -> float:
 
 
 def make_sgd(model: KeypointRCNN, recipe: Recipe) -> torch.optim.SGD:
-    """Stochastic gradient descent on the parameters that learn, in one pass over memory a step."""
+    """Return stochastic gradient descent on the trainable parameters, with one pass over memory per step."""
     return torch.optim.SGD(
         [parameter for parameter in model.parameters() if parameter.requires_grad],
         lr=recipe.learning_rate,

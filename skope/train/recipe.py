@@ -25,14 +25,14 @@ class TeacherRules:
     """Teacher of a distillation, and the weight of each of its losses; the losses of the labels have weight 1."""
 
     checkpoint: str | None = None
-    """A name, run folder or file, as `--checkpoint` takes it; None: labels alone are learnt."""
+    """Name, run folder or file, as for `--checkpoint`; None: training on labels alone."""
     classes: float = 1.0
     boxes: float = 1.0
     keypoints: float = 1.0
     temperature: float = 1.0
-    """Logits are divided by it before they become probabilities: more makes them softer."""
+    """Temperature that logits are divided by before they become probabilities; larger values make them softer."""
     sharpen: float = 1.0
-    """Factor on the heat maps of the teacher. Calibration of its scores has flattened them; this restores them."""
+    """Factor on the teacher's heat maps, which restores them if calibration of its scores has flattened them."""
 
     def __post_init__(self) -> None:
         for name in ("classes", "boxes", "keypoints"):
@@ -44,12 +44,12 @@ class TeacherRules:
 
     @property
     def of_boxes(self) -> bool:
-        """Whether its classes or boxes count."""
+        """Whether its class or box losses have a weight."""
         return max(self.classes, self.boxes) > 0
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The table of a TOML file; a missing or malformed one is a UserError that names it."""
+    """Return the table of a TOML file; a UserError names a missing or malformed file."""
     try:
         return tomllib.loads(read_text(path))
     except ValueError as error:  # also a number with more digits than Python reads
@@ -57,7 +57,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def from_flags(flags: Sequence[str], where: str) -> dict[str, Any]:
-    """Nested values of flags like `augment.blur=0.2`; a value is written as in TOML, text without quotes too."""
+    """Return nested values of flags like `augment.blur=0.2`, written as in TOML; text also without quotes."""
     values: dict[str, Any] = {}
     for flag in flags:
         name, equals, text = flag.partition("=")
@@ -69,19 +69,19 @@ def from_flags(flags: Sequence[str], where: str) -> dict[str, Any]:
             into = into.setdefault(table, {})
         try:
             into[leaf] = tomllib.loads(f"value = {text}")["value"]
-        except ValueError:  # no TOML, or a number with more digits than Python reads
+        except ValueError:  # not TOML, or a number with more digits than Python reads
             into[leaf] = text.strip()
     return values
 
 
 def with_flag_lists(cls: type[Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values of flags and TOML files, with texts like "car,van" split where the field of `cls` is a list."""
+    """Return values of flags and TOML files; texts like "car,van" are split if the field of `cls` is a list."""
     hints = get_type_hints(cls)
     return {name: _split(value) if "tuple" in str(hints.get(name)) else value for name, value in values.items()}
 
 
 def _split(value: Any) -> Any:
-    """The items of a text with commas, whole numbers as such. Any other value is returned unchanged."""
+    """Return the items of a text with commas; whole numbers are converted. Other values are returned unchanged."""
     if not isinstance(value, str) or value == NONE_WORD:
         return value
     items = [item.strip() for item in value.split(",") if item.strip()]
@@ -90,19 +90,19 @@ def _split(value: Any) -> Any:
 
 SUPERVISE_CHOICES: Final = ("visible", "all")
 SMALL_SIZE: Final = (360, 640)
-"""Short and largest long side of images inside the network where two cores are to learn from them, pixels."""
+"""Short and maximum long side of images inside the network for training on two cores, pixels."""
 NORM_CHOICES: Final = ("given", "frozen", "batch")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """The parameters of a training. Sizes are pixels, rates per step, counts per image where not said otherwise."""
+    """Parameters of a training. Unless stated otherwise, sizes are in pixels, rates per step and counts per image."""
 
     name: str
     init: str
-    """First weights: one of the names that `--init` takes, or a file."""
+    """Initial weights: one of the names for `--init`, or a file."""
     norm: str
-    """Normalisation: `given` by the first weights, `frozen`, or `batch` (it learns)."""
+    """Normalisation: `given` by the initial weights, `frozen`, or `batch` (trainable)."""
     learning_rate: float
     momentum: float
     weight_decay: float
@@ -110,55 +110,57 @@ class Recipe:
     """Number of epochs after which the learning rate is multiplied by `gamma`; None: once, after half the epochs."""
     gamma: float
     cosine_to: float | None
-    """The learning rate falls along half a cosine to this share of itself instead; None: in steps."""
+    """Share of itself to which the learning rate falls along half a cosine; None: it falls in steps."""
     ema_decay: float | None
-    """Decay, per step, of a running mean of weights and statistics that is validated and saved in place of the last
-    ones; None: there is no mean."""
+    """Decay per step of a running mean of weights and statistics. The mean is validated and saved instead of the last
+    weights. None: there is no mean."""
     epochs: int
     batch_size: int
-    """Images that a step learns from, of all processes together."""
+    """Number of images per step, of all processes together."""
     images_at_once: int | None
-    """Images of a step that one process takes through the network at a time; None: all of its share. Fewer save memory;
-    each part's losses count by its images."""
+    """Number of images of a step that one process sends through the network at once; None: all of its share. Smaller
+    values save memory; the losses of the parts are weighted by their images."""
     warmup_steps: int
-    """Steps over which the learning rate rises linearly from 0."""
+    """Number of steps over which the learning rate rises linearly from 0."""
     gradient_clip: float | None
-    """Largest 2-norm of all gradients together; None leaves them alone."""
+    """Maximum 2-norm of all gradients together; None: no limit."""
     min_size: int | None
-    """Short side of the image inside the network; None: as the first weights have it, 360 if they do not say."""
+    """Short side of the image inside the network; None: that of the initial weights, or 360 if they do not contain
+    it."""
     max_size: int | None
-    """Most that the long side has there; None: as the first weights have it, 640 if they do not say."""
+    """Maximum long side of the image inside the network; None: that of the initial weights, or 640."""
     anchors: tuple[int, ...] | None
-    """Sides of the network's anchors, one for each of its five levels, pixels; None: those of the first weights."""
+    """Sides of the anchors for each of the five levels, pixels; None: those of the initial weights."""
     box_passes: int | None
     """Number of box head passes, 1 or 2; None: as in the initial weights."""
     ignore_below: float
     """Minimum shorter edge of a vehicle's box inside the network, pixels. Smaller vehicles are ignored in training."""
     trainable_layers: int
-    """Stages of a trained backbone that learn on, 0 to 5 from the last (random weights learn in all)."""
+    """Number of trainable stages of a trained backbone, 0 to 5 from the last (random weights are trainable in all)."""
     regions: int
-    """Regions that the second stage learns from, at most a quarter of them vehicles."""
+    """Number of regions per image that the second stage is trained on; at most a quarter are vehicles."""
     keypoint_regions: int | None
     """Number of these vehicles that enter the keypoint head; None for all."""
     supervise: str
-    """Keypoints that are learnt: `visible` (v = 2), or `all` inside the image, hidden ones (v = 1) too."""
+    """Trained keypoints: `visible` (v = 2), or `all` inside the image, including hidden ones (v = 1)."""
     exclude_types: tuple[str, ...]
-    """Vehicle types that are neither learnt nor background."""
+    """Vehicle types that are excluded from training and do not count as background."""
     val_fraction: float
-    """Share of each training recording, at its end, that is validated on instead of learnt from."""
+    """Share of each training recording, at its end, that is used for validation instead of training."""
     val_images: int
-    """Most images, evenly spread over that share, that an epoch's validation looks at (and a fifth of those learnt)."""
+    """Maximum number of validated images per epoch, evenly spread over that share; a fifth of the training images if
+    that is less."""
     bfloat16: bool
-    """Multiply in bfloat16 where autocast thinks it safe."""
+    """Whether to multiply in bfloat16 where autocast considers it safe."""
     fold_norms: bool
-    """Multiply frozen normalisation into the convolutions before it: the same up to rounding, in less time."""
+    """Whether to fold frozen normalisation into the preceding convolutions: the same up to rounding, in less time."""
     channels_last: bool
-    """Keep channels together in memory: the same up to rounding, in less time."""
+    """Whether to store channels last in memory: the same up to rounding, in less time."""
     augment: Augment = field(default_factory=Augment)
     network: NetworkShape = field(default_factory=NetworkShape)
     """Backbone and widths."""
     teacher: TeacherRules = field(default_factory=TeacherRules)
-    """The detector that is learnt from beside the labels."""
+    """Detector that is learnt from in addition to the labels."""
 
     def __post_init__(self) -> None:
         one_of("supervise", self.supervise, SUPERVISE_CHOICES)
@@ -189,31 +191,31 @@ class Recipe:
             raise UserError(f"{name}: expected {limits}, got {value}")
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON values of the fields by name."""
+        """Return JSON values of the fields by name."""
         return plain_values(self)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """The recipe of `to_dict`; a UserError says when fields are missing or unknown."""
+        """Return the recipe from the result of `to_dict`; a UserError names missing or unknown fields."""
         return dataclass_of(cls, values, "recipe")
 
     def with_min_size(self, min_size: int) -> Self:
-        """The recipe with another short side, pixels; the long side's limit changes in proportion."""
+        """Return the recipe with another short side, pixels; the limit of the long side changes in proportion."""
         short, long = self.inside or SMALL_SIZE
         return replace(self, min_size=min_size, max_size=round(min_size * long / short))
 
     @property
     def inside(self) -> tuple[int, int] | None:
-        """Short and largest long side of images inside the network, pixels; None: as the first weights have them."""
+        """Return short and maximum long side of images inside the network, pixels; None: as in the initial weights."""
         return None if self.min_size is None or self.max_size is None else (self.min_size, self.max_size)
 
     @property
     def decay_epochs(self) -> int:
-        """Epochs after which the learning rate falls by `gamma`, again and again."""
+        """Number of epochs after which the learning rate falls by `gamma`, repeatedly."""
         return self.step_size or (self.epochs + 1) // 2
 
     def describe(self, min_size: int) -> str:
-        """The recipe in one line for people, with the short side that the first weights left or gave, pixels."""
+        """Return the recipe on one line for people, with the resulting short side, pixels."""
         falls = f"x {self.gamma:g} every {self.decay_epochs}"
         if self.cosine_to is not None:
             falls = f"to {self.cosine_to * self.learning_rate:g} along a cosine"
@@ -224,13 +226,13 @@ class Recipe:
 
 
 PAPER_VALUES: Final[dict[str, Any]] = {
-    # What the paper gives.
+    # Values from the paper.
     "learning_rate": 0.001,
     "momentum": 0.9,
     "step_size": 3,
     "gamma": 0.2,
     "epochs": 10,
-    # What the paper leaves open.
+    # Values that the paper does not specify.
     "init": "auto",
     "norm": "given",
     "cosine_to": None,
@@ -257,7 +259,7 @@ PAPER_VALUES: Final[dict[str, Any]] = {
     "channels_last": True,
 }
 
-# A step on two cores spends its time on pixels, and on the keypoint head: 22 GFLOP a region forward and backward.
+# On two cores, a step is dominated by pixels and the keypoint head: 22 GFLOP per region forward and backward.
 _SMALL_NETWORK: Final[dict[str, Any]] = {
     "min_size": None,
     "max_size": None,
@@ -266,8 +268,8 @@ _SMALL_NETWORK: Final[dict[str, Any]] = {
     "val_images": 24,
 }
 
-# Random weights need a high rate, which needs a warm-up and bounded gradients; while weights change that fast the
-# running means of BatchNorm2d lag behind them and nothing is found: the slower second half mends that.
+# Random weights need a high rate, which needs a warm-up and bounded gradients. While weights change that fast, the
+# running means of BatchNorm2d lag behind and nothing is detected; the slower second half corrects this.
 _FROM_NOTHING: Final[dict[str, Any]] = {
     "init": "random",
     "min_size": SMALL_SIZE[0],
@@ -291,21 +293,21 @@ SHIPPED_RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
 )
 RECIPE_CHOICES: Final = ("auto", *SHIPPED_RECIPES)
 BASE_KEY: Final = "base"
-"""Key of a TOML recipe under which it names the recipe that it changes."""
+"""Key of a TOML recipe for the name of the recipe that it changes."""
 
 
 def choose_recipe(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
-    """The recipe that the flag `--recipe` names.
+    """Return the recipe of the flag `--recipe`.
 
     Args:
-        name: One of `RECIPE_CHOICES`, or a TOML file that changes one of them. `auto` is `paper` on a GPU and
-            `laptop` on a CPU.
+        name: One of `RECIPE_CHOICES`, or a TOML file that changes one of them. `auto` is `paper` on a GPU and `laptop`
+            on a CPU.
         gpu: Whether the run is on a GPU.
-        bfloat16: Whether this processor has instructions for such numbers, which all recipes but `paper` make use of:
-            on two cores a step takes half the time. It is part of the recipe that the run records.
+        bfloat16: Whether this processor has instructions for bfloat16, which all recipes except `paper` use: on two
+            cores a step takes half the time. It is part of the recipe that the run records.
 
     Raises:
-        UserError: There is no such recipe, or the file holds unknown names or wrong values.
+        UserError: There is no such recipe, or the file contains unknown names or wrong values.
     """
     if name.endswith(".toml"):
         path = Path(name)
@@ -321,5 +323,5 @@ def choose_recipe(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
 
 
 def adjusted_recipe(recipe: Recipe, flags: Sequence[str]) -> Recipe:
-    """The recipe with the values of `--set name=value` flags."""
+    """Return the recipe with the values of `--set name=value` flags."""
     return with_values(recipe, with_flag_lists(Recipe, from_flags(flags, "--set")), "--set ")

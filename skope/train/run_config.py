@@ -1,4 +1,4 @@
-"""Configuration of a run: everything that shapes its result, as `recipe.json` in its folder records it."""
+"""Configuration of a run: everything that determines its result, as recorded in `recipe.json` in its folder."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,26 +19,26 @@ CONFIG_FILE = "recipe.json"
 
 @dataclass(frozen=True, kw_only=True)
 class RunConfig:
-    """Everything that shapes the result of a run."""
+    """Everything that determines the result of a run."""
 
     recipe: Recipe
     seed: int
     data: tuple[str, ...]
     """Dataset folders."""
     mix: float | None
-    """Share of an epoch's images that the first dataset gives; None: all images of all datasets once."""
+    """Share of an epoch's images from the first dataset; None: all images of all datasets once."""
     max_images: int | None
     scheme: Scheme = keypoints.SKOPE33
-    """The datasets' keypoint scheme."""
+    """Keypoint scheme of the datasets."""
     licences: tuple[str, ...] = ()
-    """Licences of the datasets, in their order, as their cards state them."""
+    """Licences of the datasets, in their order, as stated on their cards."""
     categories: tuple[str, ...] | None = None
     """Names of the classes to train; None: all classes of the datasets."""
 
     def of(self, datasets: Sequence[Dataset], scheme: Scheme, categories: tuple[str, ...]) -> Self:
-        """The configuration completed by what the datasets say.
+        """Return the configuration completed with the properties of the datasets.
 
-        Images are not mirrored where the mirror partners of the scheme's keypoints are not known.
+        Images are not mirrored if the mirror partners of the scheme's keypoints are not known.
         """
         recipe = self.recipe
         if scheme.flip is None:
@@ -48,7 +48,7 @@ class RunConfig:
 
     @property
     def detector_categories(self) -> tuple[str, ...]:
-        """The categories of the detector that is trained; known once `of` has completed the configuration."""
+        """Categories of the trained detector; known once `of` has completed the configuration."""
         assert self.categories is not None
         return self.categories
 
@@ -67,7 +67,7 @@ class RunConfig:
 
     @classmethod
     def read(cls, run: Path) -> Self:
-        """The configuration that a run folder records."""
+        """Return the configuration that a run folder records."""
         values = read_json(run / CONFIG_FILE)
         try:
             if not isinstance(values, dict) or values.get("version") != _RUN_VERSION:

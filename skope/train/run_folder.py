@@ -43,16 +43,16 @@ def text(
     training: TrainingState,
     datasets: Sequence[Dataset],
     counts: Sequence[tuple[int, int]],
-    others: int = 0,
+    road_user_count: int = 0,
 ) -> str:
-    """The model card as Markdown.
+    """Return the model card as Markdown.
 
     Args:
         config: Configuration of the run.
-        training: Its state.
-        datasets: What it has learnt from.
-        counts: Images and vehicles that each dataset gave.
-        others: Number of all other road users.
+        training: State of the run.
+        datasets: Training datasets.
+        counts: Number of images and vehicles from each dataset.
+        road_user_count: Number of all other road users.
     """
     recipe = config.recipe
     lines = [
@@ -73,7 +73,7 @@ def text(
             for root, dataset, (images, vehicles) in zip(config.data, datasets, counts, strict=True)
         ),
         "",
-        *_road_users(config, others),
+        *_road_users(config, road_user_count),
         *([f"The first dataset gives {config.mix:.0%} of an epoch's images.", ""] if config.mix is not None else []),
         "## Initial weights",
         "",
@@ -139,7 +139,7 @@ METRICS_LOG = "metrics.jsonl"
 
 @contextlib.contextmanager
 def exclusive(run: Path) -> Iterator[None]:
-    """Keep other processes from training in the same folder; one that was made for it and stays empty goes again."""
+    """Prevent other processes from training in the folder; remove it at the end if it was created here and is empty."""
     made = not run.exists()
     with contextlib.ExitStack() as held:
         try:
@@ -152,24 +152,24 @@ def exclusive(run: Path) -> Iterator[None]:
         finally:
             held.close()
             if made:
-                with contextlib.suppress(OSError):  # not empty any more: it holds the run
+                with contextlib.suppress(OSError):  # not empty any more: it contains the run
                     run.rmdir()
 
 
 def check_room(run: Path, training: TrainingState, *, keep: int) -> None:
-    """Raise a UserError where the disk has no room for what a run keeps: better now than after hours.
+    """Raise a UserError if the disk has no room for the files of a run, before hours of training.
 
-    At most there are `keep` checkpoints and a new one, the best one, and the state twice, while it is replaced.
+    At most there are `keep` checkpoints and a new one, the best one, and the state twice while it is replaced.
     """
     weights = _size(training.shown.state_dict().values())
-    learning = _size(p for p in training.model.parameters() if p.requires_grad)  # the optimiser's momentum
+    learning = _size(p for p in training.model.parameters() if p.requires_grad)  # momentum of the optimiser
     state = _size(training.model.state_dict().values()) + learning + (weights if training.mean is not None else 0)
     needed = (keep + 2) * weights + 2 * state
-    there = sum(path.stat().st_size for path in run.iterdir() if path.is_file()) if run.is_dir() else 0
+    used = sum(path.stat().st_size for path in run.iterdir() if path.is_file()) if run.is_dir() else 0
     free = shutil.disk_usage(next(path for path in (run, *run.absolute().parents) if path.is_dir())).free
-    if free + there < needed:
+    if free + used < needed:
         raise UserError(
-            f"{run}: {disk_size(free)} free on its disk, and this run writes up to {disk_size(needed - there)} there; "
+            f"{run}: {disk_size(free)} free on its disk, and this run writes up to {disk_size(needed - used)} there; "
             "make room, or choose another folder by --out"
         )
 
@@ -179,7 +179,7 @@ def _size(tensors: Iterable[Tensor]) -> int:
 
 
 def save_epoch(run: Path, config: RunConfig, training: TrainingState, *, keep: int) -> Path:
-    """Write state and checkpoint of an epoch, delete all but the newest `keep` checkpoints, return the new one."""
+    """Write state and checkpoint of an epoch, delete all but the newest `keep` checkpoints, and return the new one."""
     checkpoint = run / checkpoint_name(training.epochs_done)
     _save_weights(checkpoint, config, training)
     write_text(run / METRICS_LOG, "".join(json.dumps(row) + "\n" for row in training.history))
@@ -192,13 +192,15 @@ def save_epoch(run: Path, config: RunConfig, training: TrainingState, *, keep: i
 
 
 def save_best(run: Path, config: RunConfig, training: TrainingState) -> None:
-    """Write the weights of the epoch with the best validation so far."""
+    """Write the weights of the best epoch so far."""
     _save_weights(run / BEST_WEIGHTS, config, training)
 
 
 def ensure_best(run: Path, config: RunConfig, training: TrainingState) -> None:
-    """Write the best checkpoint of a resumed run where the last epoch is the best, and that stopped before it was
-    written: the state is written first, since what is lost with it cannot be made again."""
+    """Write the best checkpoint of a resumed run if it was stopped before this was written.
+
+    The state is written first, because nothing else can reproduce it.
+    """
     ranks = [validate.rank(row["validation"]) for row in training.history if "validation" in row]
     last = bool(training.history) and "validation" in training.history[-1]
     if training.steps_done or not last or ranks[-1] != training.best or training.best in ranks[:-1]:

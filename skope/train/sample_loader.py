@@ -1,6 +1,6 @@
-"""Loading of training samples, in this process or in worker processes. No sample is lost if a worker is.
+"""Load training samples in this process or in worker processes. No sample is lost if a worker ends.
 
-Workers pass images in shared memory, which is small in containers (64 MB): their number is limited to what fits. If a
+Workers pass images in shared memory, which is small in containers (64 MB): their number is limited accordingly. If a
 worker ends or stops responding, fewer workers continue with the remaining samples.
 """
 
@@ -38,7 +38,7 @@ class LoaderLimits:
     memory_share: float = 0.8
     """Share of the free shared memory that is used."""
     poll_s: float = 5.0
-    """Interval at which a stop is checked for while no batch comes, seconds."""
+    """Interval at which a stop is checked for while no batch arrives, seconds."""
     silent_s: float = 120.0
     """Time without a batch after which the loading processes count as lost, seconds."""
 
@@ -83,7 +83,7 @@ class Loader:
         prefetch = self._fit(largest)
         while asked:
             try:
-                # Those that were asked for and have not come, where processes were lost, then the others.
+                # First the draws that were requested but not received when processes were lost, then the others.
                 for batch in self._loaded(_noted([*asked], left, asked), prefetch):
                     for item in batch:
                         if isinstance(item, UserError):
@@ -108,7 +108,8 @@ class Loader:
         )
         batches = iter(loader)
         if self.workers and threading.current_thread() is threading.main_thread():
-            # torch raises in the middle of whatever is at work when a process is lost; below it is noticed in waiting.
+            # If a process is lost, torch raises an exception at an arbitrary place. Below, the loss is detected while
+            # waiting.
             signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         since = time.monotonic()
         while True:
@@ -117,7 +118,7 @@ class Loader:
             except StopIteration:
                 return
             except (RuntimeError, EOFError, ConnectionError) as error:
-                # A process that ends while it hands a batch over breaks its connection.
+                # A process that ends while it transfers a batch breaks its connection.
                 if isinstance(error, RuntimeError) and "DataLoader" not in str(error):
                     raise
                 ended, silent = "timed out" not in str(error), time.monotonic() - since > LOADER_LIMITS.silent_s
@@ -137,7 +138,7 @@ class Loader:
             since = time.monotonic()
 
     def _fit(self, images: int) -> int:
-        """Lower the number of processes to what shared memory holds; returns how many batches each may have ready."""
+        """Reduce the number of processes to fit into shared memory; return the number of batches per process."""
         if not self.workers:
             return 0
         free, batch = free_shared_memory(), images * self._training_set.largest_image
@@ -145,7 +146,7 @@ class Loader:
             return LOADER_LIMITS.prefetch[0]
         room = int(LOADER_LIMITS.memory_share * free / int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
         for prefetch in LOADER_LIMITS.prefetch:
-            # One more is being made, and one learnt from.
+            # One more is in preparation, and one is in use.
             if self.workers * (prefetch + 2) * batch <= room:
                 return prefetch
         prefetch = LOADER_LIMITS.prefetch[-1]
@@ -159,7 +160,7 @@ class Loader:
 
 
 def _noted(again: Sequence[DrawGroup], left: Iterator[DrawGroup], asked: deque[DrawGroup]) -> Iterator[DrawGroup]:
-    """Groups that are asked for again, then those that are left, which are noted in `asked`."""
+    """Yield groups that are requested again, then the remaining ones, which are recorded in `asked`."""
     yield from again
     for group in left:
         asked.append(group)
@@ -167,7 +168,7 @@ def _noted(again: Sequence[DrawGroup], left: Iterator[DrawGroup], asked: deque[D
 
 
 class _Batches(Sampler[list[Draw]]):
-    """Groups of draws as torch asks for them."""
+    """Sampler for torch that yields groups of draws."""
 
     def __init__(self, groups: Iterator[DrawGroup]) -> None:
         self._groups = groups
@@ -177,11 +178,11 @@ class _Batches(Sampler[list[Draw]]):
 
 
 class _LostError(Exception):
-    """Loading processes are gone; the text says in which way."""
+    """Error for lost loading processes; the text describes the loss."""
 
 
 def free_shared_memory() -> int | None:
-    """Bytes that are free in shared memory; None where the system does not say."""
+    """Return the number of free bytes in shared memory; None if the system does not report it."""
     try:
         found = os.statvfs(SHARED_MEMORY)
     except (OSError, AttributeError):
@@ -190,7 +191,7 @@ def free_shared_memory() -> int | None:
 
 
 def _begin_loading(worker: int) -> None:
-    """Prepare a loading process: no threads of OpenCV's, since there are as many processes as cores."""
+    """Set up a loading process: no threads of OpenCV, because there is a process for each core."""
     ignore_signals(worker)
     # 0 and not 1: setting 1 waits for threads that exist only in the parent of the fork.
     cv2.setNumThreads(0)

@@ -1,4 +1,4 @@
-"""Choice of the images to learn from and to validate on: datasets, their recordings, and what they must hold."""
+"""Select the images for training and validation: datasets, their recordings, and required content."""
 
 import hashlib
 import itertools
@@ -23,27 +23,27 @@ TRAINING_SPLIT: Final = "train"
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingSource:
-    """A dataset that is trained on, and its parts for learning and validating."""
+    """Dataset with its parts for training and validation."""
 
     dataset: Dataset
     learnt: AnnotationFile
-    """The images that are learnt from."""
+    """Training images."""
     validated: AnnotationFile
-    """The images that are validated on."""
+    """Validation images."""
     fingerprint: str
     """Digest of the annotations and of the images' names and sizes."""
     untyped: int = 0
     """Number of vehicles without a type, if some types are excluded."""
     excluded: int = 0
-    """Number of vehicles that were left out by their types."""
+    """Number of vehicles excluded by their types."""
 
     @property
     def categories(self) -> tuple[str, ...]:
-        """Names of the categories that are learnt, in the order of the network's labels."""
+        """Names of the trained categories, in the order of the network's labels."""
         return self.learnt.categories
 
     def of_categories(self, categories: Sequence[str]) -> Self:
-        """The same with the road users of some of its categories: the others are background."""
+        """Return the source with the road users of some of its categories; all others are background."""
         return replace(
             self,
             learnt=of_categories(self.learnt, categories),
@@ -51,7 +51,7 @@ class TrainingSource:
         )
 
     def vehicles(self) -> list[Vehicles]:
-        """Vehicles and other road users of each image that is learnt from, in file order."""
+        """Return vehicles and other road users of each training image, in file order."""
         by_image, users = self.learnt.by_image(), self.learnt.road_users_by_image()
         return [
             vehicles_of(image, by_image[image.id], users[image.id], self.categories) for image in self.learnt.images
@@ -95,12 +95,13 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
 
 def common_scheme(sources: Sequence[TrainingSource]) -> Scheme:
     """Return the keypoint scheme of all datasets; a UserError if they differ."""
-    first, *others = sources
-    for other in others:
-        if other.dataset.scheme is not first.dataset.scheme:
+    first, *rest = sources
+    for other_source in rest:
+        if other_source.dataset.scheme is not first.dataset.scheme:
             raise UserError(
-                f"{other.dataset.root}: has keypoint scheme {other.dataset.scheme.name}, {first.dataset.root} has "
-                f"{first.dataset.scheme.name}: datasets of different schemes cannot be learnt together"
+                f"{other_source.dataset.root}: has keypoint scheme {other_source.dataset.scheme.name}, "
+                f"{first.dataset.root} has {first.dataset.scheme.name}: "
+                "datasets of different schemes cannot be learnt together"
             )
     return first.dataset.scheme
 
@@ -111,7 +112,7 @@ def common_categories(sources: Sequence[TrainingSource], asked: Sequence[str] | 
     Raises UserError if the datasets label different categories and none are requested, or if one does not label a
     requested category: unlabelled road users would be trained as background.
     """
-    first, *others = sources
+    first, *rest = sources
     if asked is not None:
         categories = schema.checked_categories(asked)
         for source in sources:
@@ -123,11 +124,11 @@ def common_categories(sources: Sequence[TrainingSource], asked: Sequence[str] | 
                     "be trained as background"
                 )
         return categories
-    for other in others:
-        if other.categories != first.categories:
+    for other_source in rest:
+        if other_source.categories != first.categories:
             common = [name for name in first.categories if all(name in source.categories for source in sources)]
             raise UserError(
-                f"{other.dataset.root}: labels {', '.join(other.categories)}, {first.dataset.root} "
+                f"{other_source.dataset.root}: labels {', '.join(other_source.categories)}, {first.dataset.root} "
                 f"{', '.join(first.categories)}: unlabelled road users would be trained as background; "
                 f"--categories {','.join(common)} trains the common classes"
             )
@@ -135,13 +136,13 @@ def common_categories(sources: Sequence[TrainingSource], asked: Sequence[str] | 
 
 
 def of_categories(file: AnnotationFile, categories: Sequence[str]) -> AnnotationFile:
-    """A file without the road users of other categories than these, as if its makers had not labelled them."""
+    """Return a file without the road users of all other categories, as if they had not been labelled."""
     users = tuple(user for user in file.road_users if user.category in categories)
     return replace(file, road_users=users, categories=tuple(categories))
 
 
 def excluding(file: AnnotationFile, types: Sequence[str]) -> AnnotationFile:
-    """Vehicles of these types become ignored ones: neither learnt, nor background, nor ground truth."""
+    """Mark vehicles of these types as ignored: neither training data, nor background, nor ground truth."""
     if not types:
         return file
     return replace(
@@ -150,7 +151,7 @@ def excluding(file: AnnotationFile, types: Sequence[str]) -> AnnotationFile:
 
 
 def _fingerprint(annotations: Path, root: Path, images: Sequence[Image]) -> str:
-    # The labels of shards have their checksums in the manifest.
+    # For shards, the checksums of the labels are in the manifest.
     digest = hashlib.sha256(read_bytes(annotations if annotations.is_file() else root / MANIFEST_FILE))
     for image in images:
         digest.update(f"{image.file_name} {shards.size(root / image.file_name)}\n".encode())
@@ -158,7 +159,7 @@ def _fingerprint(annotations: Path, root: Path, images: Sequence[Image]) -> str:
 
 
 def validation_images(sources: Sequence[TrainingSource], most: int) -> tuple[AnnotationFile, list[Path]]:
-    """At most `most` images to validate on, evenly spread over all sources, with new ids; and their image files."""
+    """Return at most `most` validation images, evenly spread over all sources, with new ids; and their image files."""
     found: list[tuple[Path, Image, list[Annotation], list[RoadUser]]] = []
     for source in sources:
         by_image, users = source.validated.by_image(), source.validated.road_users_by_image()

@@ -1,4 +1,4 @@
-"""One step of the optimiser, over the images of all processes; Ctrl-C and SIGTERM wait until it is done."""
+"""One step of the optimiser over the images of all processes; Ctrl-C and SIGTERM wait until it is done."""
 
 import math
 import os
@@ -28,13 +28,13 @@ class StopRequest:
     """Context in which the first SIGINT or SIGTERM only sets `asked`; a second one interrupts at once."""
 
     def __init__(self, *, tell: bool = False) -> None:
-        """With `tell` the first signal is answered on standard error."""
+        """With `tell`, the first signal is acknowledged on standard error."""
         self.asked: signal.Signals | None = None
         self._tell = tell
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
-        if threading.current_thread() is threading.main_thread():  # Python allows handlers nowhere else
+        if threading.current_thread() is threading.main_thread():  # Python allows handlers only in the main thread
             self._before = {number: signal.signal(number, self._heard) for number in STOP_SIGNALS}
         return self
 
@@ -48,7 +48,7 @@ class StopRequest:
         if self.asked is not None:
             raise KeyboardInterrupt
         self.asked = signal.Signals(number)
-        if self._tell:  # print() may be in the middle of a line just now
+        if self._tell:  # print() may be in the middle of a line
             os.write(2, STOP_MESSAGE)
 
 
@@ -63,14 +63,14 @@ LOSS_NAMES: Final = ("loss_classifier", "loss_box_reg", "loss_keypoint", "loss_o
 
 
 def loss_names(training: TrainingState) -> tuple[str, ...]:
-    """Names of the losses that a step of a run has."""
+    """Return the names of the losses of a step."""
     return LOSS_NAMES if training.teacher is None else (*LOSS_NAMES, *teacher.TEACHER_LOSSES)
 
 
 def seed(seed: int, epoch: int, step: int, processes: ProcessGroup) -> None:
-    """Seed torch's global state, from which a step draws its regions: it is the same wherever a run resumes."""
-    own = () if processes.first else (processes.rank,)
-    torch.manual_seed(int(np.random.SeedSequence((seed, epoch, step, *own)).generate_state(1)[0]))
+    """Seed torch's global state, from which a step draws its regions; the seed is the same after resuming."""
+    rank = () if processes.first else (processes.rank,)
+    torch.manual_seed(int(np.random.SeedSequence((seed, epoch, step, *rank)).generate_state(1)[0]))
 
 
 def train_on_batch(
@@ -83,43 +83,44 @@ def train_on_batch(
     processes: ProcessGroup,
     votes: Sequence[float],
 ) -> tuple[dict[str, float], list[float]]:
-    """Learn from one batch: forward, backward, sum over all processes, one step of the optimiser.
+    """Train on one batch: forward, backward, sum over all processes, one step of the optimiser.
 
-    Parts of a batch that go through the network one after the other, or in several processes, weigh as their images.
+    Parts of a batch that are processed one after another or in several processes are weighted by their number of
+    images.
 
     Args:
         training: The model and its optimiser, which are changed.
         batch: This process's share of the batch; may be empty.
-        recipe: How many images go through the network at once, in which precision, and the gradients' limit.
+        recipe: Number of images at once, precision, and limit of the gradients.
         rate: Learning rate of this step.
         images: Number of images of the whole batch, of all processes.
-        processes: The processes that learn together.
+        processes: Processes that train together.
         votes: Numbers of this process that are summed over all processes in the same message as the losses.
 
     Returns:
-        The losses of the whole batch by name, `loss` being their sum, and the sums of the votes.
+        The losses of the whole batch by name, with their sum as `loss`, and the sums of the votes.
 
     Raises:
-        UserError: The loss is not a finite number; it names the images, and the weights are as they were.
+        UserError: The loss is not finite; the message names the images, and the weights are unchanged.
     """
     parameters = [p for group in training.optimizer.param_groups for p in group["params"]]
     device = parameters[0].device
     training.optimizer.zero_grad(set_to_none=True)
     at_once = recipe.images_at_once or max(1, len(batch))
     names = loss_names(training)
-    own, last = torch.zeros(len(names), device=device), None
+    local_losses, last = torch.zeros(len(names), device=device), None
     for start in range(0, len(batch), at_once):
         if last is not None:
             last.backward()  # type: ignore[no-untyped-call]
         weighted = _losses(training, batch[start : start + at_once], recipe, images, device)
-        own, last = own + weighted.detach(), weighted.sum()
-    # The numbers are asked for before the last way back: while the GPU is on it, the next step is prepared.
-    together = torch.cat([own, torch.tensor(votes, dtype=torch.float32, device=device)])
+        local_losses, last = local_losses + weighted.detach(), weighted.sum()
+    # The values are requested before the last backward pass: while the GPU computes it, the next step is prepared.
+    together = torch.cat([local_losses, torch.tensor(votes, dtype=torch.float32, device=device)])
     processes.sum_over_all([together])
     numbers = together.tolist()
     values, votes_of_all = numbers[: len(names)], numbers[len(names) :]
     if not math.isfinite(sum(values)):
-        _refuse(batch, training.epochs_done + 1, mine=not bool(own.isfinite().all()))
+        _refuse(batch, training.epochs_done + 1, mine=not bool(local_losses.isfinite().all()))
     if last is not None:
         last.backward()  # type: ignore[no-untyped-call]
     for parameter in parameters:
@@ -137,7 +138,7 @@ def train_on_batch(
 def _losses(
     training: TrainingState, part: Sequence[TrainingSample], recipe: Recipe, images: int, device: torch.device
 ) -> Tensor:
-    """The losses of some images in the order of `loss_names`, weighted as their share of the batch."""
+    """Return the losses of some images in the order of `loss_names`, weighted by their share of the batch."""
     pixels = [sample.pixels.to(device, non_blocking=True) for sample in part]
     rules = LossSettings(recipe.regions, recipe.keypoint_regions, recipe.ignore_below)
     with torch.autocast(device.type, torch.bfloat16, enabled=recipe.bfloat16):

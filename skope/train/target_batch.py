@@ -1,4 +1,4 @@
-"""The targets of a batch as tensors of one shape each, so that a GPU works on all images at once."""
+"""Targets of a batch as tensors of one shape each, so that a GPU processes all images at once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 IGNORED_KEY = "ignored_boxes"
-"""Targets carry the ignored boxes, (M, 4) xyxy, under this key."""
+"""Key of targets for the ignored boxes, (M, 4) xyxy."""
 
 Target = dict[str, Tensor]
 HeightWidth = tuple[int, int]
@@ -18,16 +18,16 @@ HeightWidth = tuple[int, int]
 
 @dataclass(frozen=True)
 class TargetBatch:
-    """Labels of B images, in pixels inside the network, filled up to the image with most of it."""
+    """Labels of B images, in pixels inside the network, padded to the largest number."""
 
     boxes: Tensor
-    """(B, G, 4) float32 xyxy; 0 where there is nothing."""
+    """(B, G, 4) float32 xyxy; 0 for padding."""
     labels: Tensor
     """(B, G) int64, from 1."""
     keypoints: Tensor
     """(B, G, K, 3) float32 x, y, v."""
     present: Tensor
-    """(B, G) bool: which of them there are."""
+    """(B, G) bool: whether an entry exists."""
     ignored: Tensor
     """(B, M, 4) float32 xyxy of ignored boxes; 0 for padding."""
 
@@ -52,7 +52,7 @@ class TargetBatch:
         """
         rows = [_resized(*each, ignore_below) for each in zip(targets, before, inside, strict=True)]
         counts = torch.tensor([len(row["labels"]) for row in rows])
-        # At least one place, where there may be nothing: what takes a maximum over none fails.
+        # At least one entry, because a maximum over none fails.
         most = max(1, int(counts.max()))
         shape = rows[0]["keypoints"].shape[1:]
         padding = {
@@ -71,7 +71,7 @@ class TargetBatch:
 
 
 def _resized(target: Target, before: HeightWidth, inside: HeightWidth, ignore_below: float) -> Target:
-    """A target in pixels inside the network, what is too small there among the ignored."""
+    """Return a target in pixels inside the network; boxes that are too small there are ignored."""
     height, width = (
         torch.tensor(new, dtype=torch.float32) / torch.tensor(old, dtype=torch.float32)
         for new, old in zip(inside, before, strict=True)
@@ -90,6 +90,6 @@ def _resized(target: Target, before: HeightWidth, inside: HeightWidth, ignore_be
 
 
 def to_device(values: Any, device: torch.device) -> Tensor:
-    """A tensor, or numbers, on a device, which does not wait until it has done what it was asked before."""
+    """Return a tensor, or numbers, on a device, without waiting for earlier work of the device."""
     tensor = torch.as_tensor(values)
     return tensor.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else tensor.to(device)

@@ -24,26 +24,27 @@ from skope.train.recipe import TeacherRules
 from skope.train.target_batch import HeightWidth
 
 TEACHER_LOSSES: Final = ("loss_teacher_classes", "loss_teacher_boxes", "loss_teacher_keypoints")
-"""Names of the losses that a teacher adds."""
+"""Names of the losses of a teacher."""
 BOX_LOSS_BETA: Final = 1 / 9
 """Error of a box offset above which the loss is linear, for labels and teacher."""
 
 
 @dataclass(frozen=True)
 class Teacher:
-    """A detector that is learnt from, and how much its answers count."""
+    """Detector for distillation, with the weights of its losses."""
 
     model: KeypointRCNN
-    """In evaluation mode; nothing of it learns."""
+    """In evaluation mode; no part of it is trainable."""
     config: DetectorConfig
     rules: TeacherRules
 
     @classmethod
     def load(cls, rules: TeacherRules, student: DetectorConfig, device: torch.device) -> "Teacher | None":
-        """The teacher that a recipe asks for; None: it asks for none, or its answers count nothing.
+        """Return the teacher of a recipe; None without a teacher, or if all of its losses have weight 0.
 
-        Raises UserError where there is no such checkpoint, or it has learnt other keypoints, or other categories and
-        its classes or boxes count.
+        Raises:
+            UserError: There is no such checkpoint; or it has other keypoints; or other categories, while its classes or
+                boxes have a weight.
         """
         if rules.checkpoint is None or not (rules.of_boxes or rules.keypoints):
             return None
@@ -54,23 +55,23 @@ class Teacher:
                 f"teacher.checkpoint: {path} has keypoint scheme {config.scheme}, what is learnt {student.scheme}"
             )
         if config.categories != student.categories and rules.of_boxes:
-            own, wanted = (", ".join(one.categories) for one in (config, student))
+            teacher_categories, student_categories = (", ".join(detector.categories) for detector in (config, student))
             raise UserError(
-                f"teacher.checkpoint: {path} knows {own}, what is learnt is {wanted}; with --set teacher.classes=0 "
-                "--set teacher.boxes=0 its keypoints alone are learnt"
+                f"teacher.checkpoint: {path} knows {teacher_categories}, what is learnt is {student_categories}; "
+                "with --set teacher.classes=0 --set teacher.boxes=0 its keypoints alone are learnt"
             )
         fold_norms(model.to(memory_format=torch.channels_last))
         return cls(model.requires_grad_(False), config, rules)
 
     def lesson(self, images: Tensor) -> "TeacherOutputs":
-        """Look at (N, 3, H, W) images as they enter the network."""
+        """Process (N, 3, H, W) images as they enter the network."""
         with torch.no_grad():
             return TeacherOutputs(self.model.roi_heads, self.model.backbone(images), self.rules)
 
 
 @dataclass(frozen=True)
 class TeacherOutputs:
-    """Answers of a teacher to a batch of images."""
+    """Outputs of a teacher for a batch of images."""
 
     heads: RoIHeads
     features: dict[str, Tensor]
@@ -113,16 +114,16 @@ class TeacherOutputs:
     def of_keypoints(
         self, regions: Sequence[Tensor], sizes: list[HeightWidth], maps: Tensor, labelled: Tensor
     ) -> dict[str, Tensor]:
-        """The loss of heat maps.
+        """Return the loss of heat maps.
 
         Args:
-            regions: (N, 4) of each image, on vehicles, pixels inside the network.
-            sizes: Of the images inside the network.
-            maps: (N of all, K, H, W) the student's heat maps, logits.
-            labelled: (N of all, K) bool which points are learnt.
+            regions: (N, 4) vehicle regions of each image, pixels inside the network.
+            sizes: Sizes of the images inside the network.
+            maps: (N of all, K, H, W) logits of the student's heat maps.
+            labelled: (N of all, K) bool, whether a point is trained.
 
         Returns:
-            The mean divergence over these points of where they may be, times its weight.
+            Mean divergence of the positions of these points, times its weight.
         """
         if not self.rules.keypoints:
             return {"loss_teacher_keypoints": maps.new_zeros(())}
@@ -135,10 +136,10 @@ class TeacherOutputs:
         return {"loss_teacher_keypoints": self.rules.keypoints * mean}
 
     def _divergence(self, logits: Tensor, taught: Tensor) -> Tensor:
-        """Kullback-Leibler divergence of the student's distributions from the teacher's over the last axis.
+        """Return the Kullback-Leibler divergence of the student from the teacher over the last axis.
 
-        Times the temperature's square, so that gradients are as large at any temperature.
+        It is multiplied by the square of the temperature, so that gradients have the same size at any temperature.
         """
         heat = self.rules.temperature
-        own, other = (functional.log_softmax(each / heat, dim=-1) for each in (logits, taught))
-        return heat**2 * functional.kl_div(own, other, reduction="none", log_target=True).sum(dim=-1)
+        student_log_p, teacher_log_p = (functional.log_softmax(each / heat, dim=-1) for each in (logits, taught))
+        return heat**2 * functional.kl_div(student_log_p, teacher_log_p, reduction="none", log_target=True).sum(dim=-1)

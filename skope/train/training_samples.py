@@ -1,7 +1,7 @@
-"""Training samples: images and targets as torchvision's detectors want them, augmentation included, and their order.
+"""Training samples: images and targets in the form of torchvision's detectors, with augmentation, and their order.
 
-What happens to an image depends on (seed, epoch, dataset, image id, how often it was drawn before) alone, so neither
-the number of workers or processes nor an interruption changes anything.
+The augmentation of an image depends only on seed, epoch, dataset, image id and the number of earlier draws. It is
+therefore independent of the number of workers or processes and of interruptions.
 """
 
 from collections.abc import Sequence
@@ -23,12 +23,12 @@ from skope.train.target_batch import IGNORED_KEY
 from skope.train.targets import Vehicles, vehicles_of
 
 Draw = tuple[int, int, int]
-"""Epoch, position in the training set, how often the epoch has drawn it before."""
+"""Epoch, position in the training set, and number of earlier draws in the epoch."""
 
 
 @dataclass(frozen=True)
 class TrainingSample:
-    """One image, its vehicles and other road users, as the network learns from them."""
+    """One image with its vehicles and other road users for training."""
 
     name: str
     pixels: torch.Tensor
@@ -39,9 +39,9 @@ class TrainingSample:
     Vehicles come first, with label 1; others follow, with labels from 2 and keypoints that are all v = 0."""
 
     def pin_memory(self) -> "TrainingSample":
-        """The sample with its pixels in pinned memory, from which a GPU can copy without waiting.
+        """Return the sample with its pixels in pinned memory, from which a GPU copies asynchronously.
 
-        Targets stay where they are: those of a batch are brought together before they go there.
+        Targets are not pinned: those of a batch are combined before they are transferred.
         """
         return TrainingSample(self.name, self.pixels.pin_memory(), self.target)
 
@@ -55,7 +55,7 @@ class _Frame:
 
 
 class TrainingSet(TorchDataset[TrainingSample | UserError]):
-    """Images of all datasets with their vehicles, one dataset after the other; an index is a `Draw`."""
+    """Images of all datasets with their vehicles, one dataset after another; an index is a `Draw`."""
 
     def __init__(
         self,
@@ -71,7 +71,7 @@ class TrainingSet(TorchDataset[TrainingSample | UserError]):
         Args:
             sources: The datasets.
             seed: Seed of the run.
-            augment: How often images are changed.
+            augment: Probabilities of changes to images.
             supervise: "visible", or "all" for hidden keypoints too.
             inside: Short and largest long side of images inside the network, pixels, for `augment.reduce`.
         """
@@ -90,24 +90,24 @@ class TrainingSet(TorchDataset[TrainingSample | UserError]):
 
     @property
     def vehicles(self) -> int:
-        """Number of vehicles to learn from, ignored ones not counted."""
+        """Number of vehicles for training, without ignored ones."""
         return sum(len(frame.vehicles.boxes_xyxy) for frame in self._frames)
 
     @property
     def road_users(self) -> int:
-        """Number of other road users to learn from, ignored ones not counted."""
-        return sum(len(frame.vehicles.others_xyxy) for frame in self._frames)
+        """Number of other road users for training, without ignored ones."""
+        return sum(len(frame.vehicles.road_users_xyxy) for frame in self._frames)
 
     @property
     def largest_image(self) -> int:
-        """Bytes of the pixels of the largest image."""
+        """Size of the pixels of the largest image, bytes."""
         return max(3 * frame.image.width * frame.image.height for frame in self._frames)
 
     def __len__(self) -> int:
         return len(self._frames)
 
     def __getitem__(self, index: Draw) -> TrainingSample | UserError:
-        """The sample, or the mistake in the user's files: raised in a worker, it would arrive inside a traceback."""
+        """Return the sample, or the error in the user's files, which a worker would raise inside a traceback."""
         epoch, position, repeat = index
         frame = self._frames[position]
         try:
@@ -119,7 +119,7 @@ class TrainingSet(TorchDataset[TrainingSample | UserError]):
         return to_sample(frame.image.file_name, pixels, vehicles, self._supervise)
 
     def _scale(self, image: Image) -> float:
-        """Size of an image inside the network, in sizes of the image; 1 where that is not known."""
+        """Return the size of an image inside the network relative to its own size; 1 if it is not known."""
         if self._inside is None:
             return 1.0
         short, long = sorted((image.width, image.height))
@@ -127,7 +127,7 @@ class TrainingSet(TorchDataset[TrainingSample | UserError]):
 
 
 class DetectionDataset(TorchDataset[tuple[torch.Tensor, dict[str, torch.Tensor]]]):
-    """The images of a split as torchvision's detection models take them, unchanged and in file order."""
+    """Images of a split in the form of torchvision's detection models, unchanged and in file order."""
 
     def __init__(self, dataset: Dataset, split: str, supervise: str) -> None:
         """`supervise` is "visible", or "all" for hidden keypoints too."""
@@ -139,7 +139,7 @@ class DetectionDataset(TorchDataset[tuple[torch.Tensor, dict[str, torch.Tensor]]
         return len(self._images)
 
     def __getitem__(self, index: int) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-        """Pixels (3, H, W) float32 from 0 to 1, and the target as in `TrainingSample`."""
+        """Return pixels (3, H, W) float32 from 0 to 1, and the target as in `TrainingSample`."""
         labelled = self._images[index]
         vehicles = vehicles_of(labelled.record, labelled.annotations, labelled.road_users, self._categories)
         sample = to_sample(labelled.record.file_name, labelled.pixels(), vehicles, self._supervise)
@@ -147,17 +147,17 @@ class DetectionDataset(TorchDataset[tuple[torch.Tensor, dict[str, torch.Tensor]]
 
 
 def to_sample(name: str, pixels: NDArray[np.uint8], vehicles: Vehicles, supervise: str) -> TrainingSample:
-    """A training sample, as tensors.
+    """Return a training sample as tensors.
 
     Args:
         name: The image's file, for errors.
         pixels: (H, W, 3) RGB.
-        vehicles: Its vehicles and others, in pixels.
-        supervise: "visible" for the keypoints that can be seen, "all" for hidden ones too.
+        vehicles: Its vehicles and other road users, in pixels.
+        supervise: "visible" for visible keypoints, "all" for hidden ones too.
     """
     count = len(vehicles.boxes_xyxy)
-    boxes = np.concatenate([vehicles.boxes_xyxy, vehicles.others_xyxy])
-    labels = np.concatenate([np.full(count, schema.CATEGORY_ID), vehicles.other_labels])
+    boxes = np.concatenate([vehicles.boxes_xyxy, vehicles.road_users_xyxy])
+    labels = np.concatenate([np.full(count, schema.CATEGORY_ID), vehicles.road_user_labels])
     points = np.zeros((len(boxes), keypoints.K, 3))
     points[:count] = vehicles.supervised(supervise)
     target = {
@@ -170,12 +170,12 @@ def to_sample(name: str, pixels: NDArray[np.uint8], vehicles: Vehicles, supervis
 
 
 def order(sizes: Sequence[int], mix: float | None, *, seed: int, epoch: int) -> list[Draw]:
-    """Draw the order of an epoch: as many draws as there are images.
+    """Draw the order of an epoch, with one draw per image.
 
     Args:
         sizes: Number of images of each dataset.
-        mix: Share of the draws that the first dataset gives, the others the rest by their sizes: of one dataset no
-            image comes twice before each has come once. None: each image comes once.
+        mix: Share of the draws from the first dataset; the others share the rest by size. Within a dataset, no image is
+            drawn again before all were drawn once. None: each image is drawn once.
         seed: Seed of the run.
         epoch: Number of the epoch, from 0.
     """
@@ -195,7 +195,7 @@ def order(sizes: Sequence[int], mix: float | None, *, seed: int, epoch: int) -> 
 
 
 def mean_share_inside(samples: Sequence[TrainingSample]) -> float | None:
-    """Share of the labelled keypoints that lie inside their vehicle's box; None without a labelled keypoint."""
+    """Return the share of labelled keypoints inside their vehicle's box; None without a labelled keypoint."""
     inside = labelled = 0
     for sample in samples:
         points, corners = sample.target["keypoints"], sample.target["boxes"][:, None]

@@ -29,36 +29,36 @@ STATE_FIELDS = ("origin", "fingerprints", "epochs_done", "steps_done", "sums", "
 
 @dataclass
 class TrainingState:
-    """The state of a run: model, optimiser, and how far it has come."""
+    """State of a run: model, optimiser, and progress."""
 
     model: KeypointRCNN
     config: DetectorConfig
     optimizer: torch.optim.SGD
     origin: str
-    """Origin of the first weights, in words."""
+    """Origin of the initial weights, in words."""
     fingerprints: list[str]
     """Digest of each dataset, in their order."""
     epochs_done: int
     steps_done: int
-    """Steps done of the epoch that is under way."""
+    """Number of steps done in the current epoch."""
     sums: dict[str, float]
     """Sums of the losses in the current epoch."""
     history: list[dict[str, Any]]
     """Mean losses and validation of the completed epochs."""
     best: list[float] | None
-    """The figures that decide which epoch is best."""
+    """Figures that determine the best epoch."""
     mean: AveragedModel | None = None
-    """The running mean of the model over the steps, where the recipe asks for one."""
+    """Running mean of the model over the steps, if the recipe requests it."""
     teacher: Teacher | None = None
     """Detector for distillation; it is not saved."""
 
     @property
     def shown(self) -> KeypointRCNN:
-        """The model that is validated and saved."""
+        """Model that is validated and saved."""
         return self.model if self.mean is None else self.mean.module
 
     def state(self) -> dict[str, Any]:
-        """The state as `resume.pt` holds it."""
+        """Return the state for `resume.pt`."""
         return {
             "model": self.model.state_dict(),
             "detector": self.config.to_dict(),
@@ -69,21 +69,21 @@ class TrainingState:
 
 
 def resumable(run: Path) -> bool:
-    """Whether a run folder holds a state to resume from."""
+    """Return whether a run folder contains a state to resume from."""
     return (run / STATE_FILE).is_file()
 
 
 def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> TrainingState:
-    """Begin a run in a folder that holds none.
+    """Begin a run in a folder without a run.
 
     Args:
         run: The run folder.
         config: Its configuration.
         fingerprints: Digest of each dataset.
-        device: Where to train.
+        device: Device for training.
 
     Raises:
-        UserError: The folder holds a run, or other files.
+        UserError: The folder contains a run or other files.
     """
     if resumable(run):
         raise UserError(f"{run}: already holds a run; resume it with --resume, or choose another folder with --out")
@@ -92,7 +92,7 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
             f"{run}: holds checkpoints but no state to resume from ({STATE_FILE} is missing); choose another folder by "
             "--out"
         )
-    # Where several processes train together, the first one may already have written the configuration.
+    # If several processes train together, the first one may already have written the configuration.
     if run.is_dir() and any(run.glob("[!.]*")) and not _begun(run):
         raise UserError(
             f"{run}: holds other files and no run; choose another folder by --out, or move its content away"
@@ -117,7 +117,7 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
 
 
 def _begun(run: Path) -> bool:
-    """Whether a folder is that of a run that has saved nothing yet."""
+    """Return whether a folder is that of a run that has saved nothing yet."""
     try:
         RunConfig.read(run)
     except UserError:
@@ -126,17 +126,17 @@ def _begun(run: Path) -> bool:
 
 
 def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> TrainingState:
-    """Go on with the run in a folder from where its state was saved last.
+    """Resume the run in a folder from its last saved state.
 
     Args:
         run: The run folder.
         config: Its configuration.
-        fingerprints: Digest of each dataset as it is now.
-        device: Where to train.
+        fingerprints: Current digest of each dataset.
+        device: Device for training.
 
     Raises:
-        UserError: Nothing was saved, a dataset has changed since, or the run has more epochs behind it than `config`
-            asks for.
+        UserError: Nothing was saved, a dataset has changed since, or the run has completed more epochs than `config`
+            requests.
     """
     path = run / STATE_FILE
     if not resumable(run):
@@ -147,7 +147,7 @@ def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: to
         detector_config = DetectorConfig.from_dict(saved["detector"])
         model = build(detector_config, trainable_layers=config.recipe.trainable_layers)
         model.load_state_dict(saved["model"])
-    except Exception as error:  # torch.load raises whatever the broken archive or pickle led to
+    except Exception as error:  # torch.load raises various exceptions for broken archives and pickles
         raise UserError(f"{path}: cannot be read ({(str(error).splitlines() or [''])[0]})") from None
     for data, then, now in zip(config.data, plain["fingerprints"], fingerprints, strict=True):
         if then != now:
@@ -170,8 +170,8 @@ def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: to
 
 
 def save_state(run: Path, training: TrainingState) -> None:
-    """Write the state that `resume` reads."""
-    # Through memory: where there is no room for a file, torch's own writer ends the process.
+    """Write the state for `resume`."""
+    # Through memory, because torch's own writer ends the process if the disk is full.
     buffer = io.BytesIO()
     torch.save(training.state(), buffer)
     write_bytes(run / STATE_FILE, buffer.getbuffer())

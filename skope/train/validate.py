@@ -1,4 +1,4 @@
-"""Validation: how good the model is after an epoch, on images that it does not learn from."""
+"""Validation: quality of the model after an epoch, on images that are not used for training."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ from skope.schema import VEHICLE_ALONE, AnnotationFile, Result, RoadUserResult
 Figures = dict[str, Any]
 
 VALIDATION_IOU = "0.6"
-"""The paper's lowest threshold. Early epochs find boxes roughly."""
+"""Lowest threshold of the paper. Early epochs detect boxes roughly."""
 
 
 def detect_in_image(
@@ -49,21 +49,21 @@ class ValidationResults:
     """Results of a model on the images of a split."""
 
     detected: list[Result]
-    """The vehicles that it detects."""
+    """Detected vehicles."""
     given: list[Result]
-    """The keypoints that it finds inside the boxes of the ground truth, a result for each vehicle."""
+    """Keypoints localised inside the ground-truth boxes, one result per vehicle."""
     road_users: list[RoadUserResult] = field(default_factory=list)
-    """The other road users that it detects."""
+    """Detected other road users."""
 
 
 def validate(model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], device: torch.device) -> Figures:
-    """Run a model on images, and measure as `figures` does.
+    """Run a model on images and return the result of `figures`.
 
     Args:
         model: The model.
         file: The ground truth.
         paths: Files of its images.
-        device: Where the model is.
+        device: Device of the model.
     """
     return figures(file, run_model(model, file, paths, device))
 
@@ -77,7 +77,7 @@ def run_model(
         model: The model. It has the categories of `file`.
         file: The ground truth.
         paths: Files of its images.
-        device: Where the model is.
+        device: Device of the model.
     """
     vehicles = file.by_image()
     detected: list[Result] = []
@@ -85,9 +85,9 @@ def run_model(
     road_users: list[RoadUserResult] = []
     for image, path in zip(file.images, paths, strict=True):
         pixels = read_image(path, size=(image.width, image.height))
-        found, others = detect_in_image(model, pixels, image.id, device, MetricOptions().score, file.categories)
+        found, found_users = detect_in_image(model, pixels, image.id, device, MetricOptions().score, file.categories)
         detected += found
-        road_users += others
+        road_users += found_users
         truth = sorted((a for a in vehicles[image.id] if not a.ignored), key=lambda a: a.id)
         corners = boxes.xywh_to_xyxy(np.array([a.bbox for a in truth]).reshape(-1, 4))
         points = detect_on_boxes(model, pixels, corners, device)
@@ -97,11 +97,11 @@ def run_model(
 
 
 def figures(file: AnnotationFile, found: ValidationResults) -> Figures:
-    """Figures of a split, pooled, at a score above 0.9 and an IoU of 0.6.
+    """Return figures of a split, pooled, at a score above 0.9 and an IoU of 0.6.
 
-    `pck` is that of the vehicles found, `pck_given` that inside the ground-truth boxes, localisation apart from
-    detection; None where there is nothing to divide by. Of each other category that `file` labels there are precision
-    and recall of boxes, at the same score and an IoU of 0.5.
+    `pck` is that of the matched vehicles; `pck_given` is that inside the ground-truth boxes, which separates
+    localisation from detection. Both are None if the denominator is 0. Each other category that `file` labels has
+    precision and recall of boxes, at the same score and an IoU of 0.5.
     """
     options = MetricOptions()
     split = score_split(file, found.detected, options)

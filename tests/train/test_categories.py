@@ -88,13 +88,13 @@ def test_what_moves_pixels_moves_road_users(step: str) -> None:
     for seed in range(12):
         pixels = np.zeros((90, 120, 3), np.uint8)
         pixels[30:40, 20:28] = 255
-        users = replace(NOBODY, others_xyxy=np.array([[20.0, 30, 28, 40]]), other_labels=np.array([3]))
+        users = replace(NOBODY, road_users_xyxy=np.array([[20.0, 30, 28, 40]]), road_user_labels=np.array([3]))
         after, there = AUGMENT_STEPS[step](pixels, users, np.random.default_rng(seed))
-        if not len(there.others_xyxy):
+        if not len(there.road_users_xyxy):
             continue
-        assert there.other_labels.tolist() == [3]
+        assert there.road_user_labels.tolist() == [3]
         rows, columns = np.nonzero(after[..., 0] > 200)
-        x0, y0, x1, y1 = there.others_xyxy[0]
+        x0, y0, x1, y1 = there.road_users_xyxy[0]
         found = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
         assert np.abs(np.subtract(found, (x0, y0, x1, y1))).max() <= 2.0
         moved += [x0, y0, x1, y1] != [20, 30, 28, 40]
@@ -103,13 +103,13 @@ def test_what_moves_pixels_moves_road_users(step: str) -> None:
 
 def test_what_a_crop_or_an_occluder_leaves_too_little_of_is_ignored() -> None:
     box = np.array([[10.0, 10, 30, 50]])
-    users = replace(NOBODY, others_xyxy=box, other_labels=np.array([2]))
+    users = replace(NOBODY, road_users_xyxy=box, road_user_labels=np.array([2]))
     for share, kept in ((LEAST_INSIDE + 0.05, True), (LEAST_INSIDE - 0.05, False)):
         cropped = users.cropped((30 - 20 * share, 0.0), (1.0, 1.0), 100, 100)
         covered = users.covered(np.array([0.0, 0, 100, 50 - 40 * share]))
         for after in (cropped, covered):
-            assert (len(after.others_xyxy), len(after.ignored_xyxy)) == ((1, 0) if kept else (0, 1))
-            assert len(after.other_labels) == len(after.others_xyxy)
+            assert (len(after.road_users_xyxy), len(after.ignored_xyxy)) == ((1, 0) if kept else (0, 1))
+            assert len(after.road_user_labels) == len(after.road_users_xyxy)
     assert len(users.cropped((40.0, 0.0), (1.0, 1.0), 100, 100).ignored_xyxy) == 0
 
 
