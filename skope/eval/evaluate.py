@@ -125,8 +125,8 @@ def _known(job: EvalJob, predictor: "Predictor | None", found: Mapping[str, Sequ
     """Return the categories that the detector has learnt. A results file without other road users has vehicles only."""
     if predictor is not None:
         return VEHICLE_ALONE if job.settings.given else predictor.categories
-    others = any(isinstance(one, RoadUserResult) for results in found.values() for one in results)
-    return CATEGORY_NAMES if others else VEHICLE_ALONE
+    has_road_users = any(isinstance(result, RoadUserResult) for results in found.values() for result in results)
+    return CATEGORY_NAMES if has_road_users else VEHICLE_ALONE
 
 
 def _check_images(splits: Sequence[AnnotationFile], root: Path) -> None:
@@ -204,11 +204,14 @@ def _doubts(
         empty = [annotation for annotation in known if annotation.bbox[2:].min() <= 0]
         boxed = [annotation for annotation in known if annotation.bbox[2:].min() > 0]
         astray = [a for a in boxed if (far_outside(a) & (a.keypoints[:, 2] == 2)).any()]
-        for wrong, what in ((empty, "a box without area"), (astray, "keypoints called visible far outside of the box")):
+        for wrong, defect in (
+            (empty, "a box without area"),
+            (astray, "keypoints called visible far outside of the box"),
+        ):
             if wrong:
                 count = counted(len(wrong), "vehicle")
                 yield (
-                    f"split {file.name}: {count} with {what}, which no detector can find; first: "
+                    f"split {file.name}: {count} with {defect}, which no detector can find; first: "
                     f"annotation {wrong[0].id}"
                 )
 

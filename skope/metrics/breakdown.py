@@ -30,7 +30,7 @@ class BreakdownBands:
     """Hidden fractions of a vehicle, 0 to 1."""
     truncations: tuple[float, float] = (0.1, 0.4)
     """Truncated fractions of a vehicle, 0 to 1."""
-    # Bounds of a group that the paper reports separately: unoccluded vehicles within 40 m.
+    # Limits of a group that the paper reports separately: unoccluded vehicles within 40 m.
     unoccluded: float = 0.01
     """Hidden fraction below which a vehicle is unoccluded."""
     near_m: float = 40.0

@@ -129,13 +129,13 @@ def evaluated(
 
 
 def _ap(evaluation: Any) -> tuple[float | None, float | None]:
-    """AP and AP50 over all sizes."""
+    """Return AP and AP50 over all sizes."""
     precision = evaluation.eval["precision"]  # (IoU thresholds, recalls, categories, areas, maxDets), -1 for none
     return mean_precision(precision), mean_precision(precision[:1])
 
 
 def _index(images: list[CocoRow], annotations: list[CocoRow]) -> Any:
-    """A pycocotools COCO object made directly: its `loadRes` crashes on an empty list."""
+    """Return a COCO object of pycocotools that is built directly, because `loadRes` crashes on an empty list."""
     from pycocotools.coco import COCO
 
     coco = COCO()
@@ -150,6 +150,6 @@ def _index(images: list[CocoRow], annotations: list[CocoRow]) -> Any:
 
 
 def mean_precision(precision: Any) -> float | None:
-    """Mean of the precisions that pycocotools could tell; it writes -1 for the others."""
-    told = precision[precision > -1]
-    return float(told.mean()) if told.size else None
+    """Return the mean of the available precisions; pycocotools writes -1 for the others."""
+    known = precision[precision > -1]
+    return float(known.mean()) if known.size else None

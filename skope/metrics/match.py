@@ -98,8 +98,8 @@ def match(
     """
     one_of("--boxes", boxes, BOX_KINDS)
     number = {image.id: i for i, image in enumerate(file.images)}
-    place = [number[a.image_id] for a in file.annotations]
-    vehicles = [file.annotations[i] for i in np.lexsort(([a.id for a in file.annotations], place))]
+    image_numbers = [number[a.image_id] for a in file.annotations]
+    vehicles = [file.annotations[i] for i in np.lexsort(([a.id for a in file.annotations], image_numbers))]
     truth = [a for a in vehicles if not a.ignored]
     ignored = [a for a in vehicles if a.ignored]
     image = np.array([number[r.image_id] for r in results], dtype=np.int64)

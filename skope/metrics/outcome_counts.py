@@ -37,7 +37,7 @@ class ImageCounts:
     detections: Integers
     """Detections that count."""
     matched: Integers
-    """Detections that took a vehicle."""
+    """Detections that matched a vehicle."""
     detections_ignored: Integers
     """Unmatched detections on ignored vehicles."""
     labelled: Integers

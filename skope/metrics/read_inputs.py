@@ -45,8 +45,10 @@ def read_dataset(root: Path, names: Sequence[str]) -> GroundTruth:
     data = open_dataset(root)
     wanted = tuple(dict.fromkeys(names)) or tuple(name for name in TEST_SPLITS if name in data.splits)
     if not wanted:
-        there = ", ".join(data.splits) or "none"
-        raise UserError(f"{root}: has none of the splits {', '.join(TEST_SPLITS)}; choose one with --split: {there}")
+        available = ", ".join(data.splits) or "none"
+        raise UserError(
+            f"{root}: has none of the splits {', '.join(TEST_SPLITS)}; choose one with --split: {available}"
+        )
     splits = tuple(data.read(name) for name in wanted)
     manifest = root / MANIFEST_FILE
     sources = (manifest,) if manifest.is_file() else tuple(root / "annotations" / f"{name}.json" for name in wanted)
@@ -115,7 +117,7 @@ def read_all_results(path: Path, file: AnnotationFile, scheme: str | None = None
 
 @dataclass(frozen=True)
 class ResultsFile:
-    """Results in the order of the images of `file`, read from disk each time: an hour of footage has a million."""
+    """Results in the order of the images of `file`, read from disk each time, because files can be large."""
 
     path: Path
     file: AnnotationFile
@@ -126,7 +128,7 @@ class ResultsFile:
 
 @dataclass(frozen=True)
 class RoadUsersFile:
-    """Other road users of a results file for the images of `file`, in its order, read from disk each time."""
+    """Return other road users of a results file for the images of `file`, in its order, read from disk each time."""
 
     path: Path
     file: AnnotationFile
@@ -137,8 +139,8 @@ class RoadUsersFile:
 
 def stream_results(path: Path, file: AnnotationFile) -> ResultsFile | tuple[Result, ...]:
     """Return the checked results of vehicles. They are loaded only if they are not in the order of the images."""
-    place = {image.id: i for i, image in enumerate(file.images)}
-    places = (place[result.image_id] for result in _for_file(path, file, None))
+    index_of = {image.id: i for i, image in enumerate(file.images)}
+    places = (index_of[result.image_id] for result in _for_file(path, file, None))
     if all(a <= b for a, b in itertools.pairwise(places)):
         return ResultsFile(path, file)
     return read_vehicle_results(path, file)

@@ -54,8 +54,8 @@ def _rows(
     """Return images, ground truth and results of one category in the format of pycocotools."""
     images = [{"id": image.id, "width": image.width, "height": image.height} for image in file.images]
     truth = [truth_box(user, boxes) for user in file.road_users if user.category == name]
-    own = [result for result in results if result.category == name]
-    return images, truth, [found_box(i, result) for i, result in enumerate(own, start=1)]
+    category_results = [result for result in results if result.category == name]
+    return images, truth, [found_box(i, result) for i, result in enumerate(category_results, start=1)]
 
 
 def _at_ap50(evaluation: Any) -> int:

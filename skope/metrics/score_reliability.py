@@ -68,10 +68,10 @@ def reliability(score: Array, right: Mask) -> list[dict[str, Any]]:
     Returns:
         A row for each non-empty bin: "from" and "to", "count", mean "score", and the share that is "right".
     """
-    place = np.minimum((score * RELIABILITY_BINS.score_bins).astype(np.int64), RELIABILITY_BINS.score_bins - 1)
+    bin_index = np.minimum((score * RELIABILITY_BINS.score_bins).astype(np.int64), RELIABILITY_BINS.score_bins - 1)
     rows = []
-    for i in np.unique(place):
-        inside = place == i
+    for i in np.unique(bin_index):
+        inside = bin_index == i
         rows.append(
             {
                 "from": i / RELIABILITY_BINS.score_bins,
@@ -143,5 +143,5 @@ def curve(score: Array, right: Mask, total: int) -> tuple[Array, Array]:
         np.flatnonzero(np.append(np.diff(score[order]) != 0, True)) if len(order) else np.zeros(0, np.int64)
     )
     precision = np.maximum.accumulate((hits[last] / (last + 1))[::-1])[::-1]
-    place = np.searchsorted(hits[last] / total, recalls, side="left")
-    return recalls, np.append(precision, 0.0)[np.minimum(place, len(precision))]
+    index = np.searchsorted(hits[last] / total, recalls, side="left")
+    return recalls, np.append(precision, 0.0)[np.minimum(index, len(precision))]

@@ -1,4 +1,4 @@
-"""Limits from which detections, boxes and keypoints count, unless others are asked for."""
+"""Default thresholds above which detections, boxes and keypoints count."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -9,11 +9,11 @@ class PaperThresholds:
     """Default thresholds of the metrics."""
 
     iou: tuple[float, float, float, float] = (0.9, 0.8, 0.7, 0.6)
-    """IoU from which a box counts as found: those of the paper's table, in its order."""
+    """IoU thresholds for a box to count as found: those of the paper's table, in its order."""
     score: float = 0.9
     """Score above which a detection counts."""
     alpha: float = 0.1
-    """Largest distance of a found keypoint, as a share of the longer edge of the vehicle's box."""
+    """Maximum error of a correct keypoint, as a share of the longer edge of the vehicle's box."""
 
 
 PAPER_THRESHOLDS: Final = PaperThresholds()

@@ -25,26 +25,26 @@ MARKER_PATHS: Final = {
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """One line of a chart; points without a y are left out."""
+    """Line of a chart; points without y are omitted."""
 
     name: str
     x: Sequence[float]
     y: Sequence[float | None]
     notes: Sequence[str] = ()
-    """Text for each point's tooltip, after its coordinates."""
+    """Tooltip text for each point, after its coordinates."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Axes:
-    """Labels and ends of a chart's axes, which begin at 0."""
+    """Labels and upper ends of a chart's axes, which begin at 0."""
 
     x_label: str
     y_label: str
     x_end: float = 1.0
     y_end: float = 1.0
 
-    def place(self, x: float, y: float) -> tuple[float, float]:
-        """Position of the point (x, y) in the drawing."""
+    def to_drawing(self, x: float, y: float) -> tuple[float, float]:
+        """Return the position of the point (x, y) in the drawing."""
         across, up = PLOT_WIDTH - PLOT_LEFT - PLOT_RIGHT, PLOT_HEIGHT - PLOT_TOP - PLOT_BOTTOM
         return round(PLOT_LEFT + x / self.x_end * across, 1), round(PLOT_TOP + (1 - y / self.y_end) * up, 1)
 
@@ -56,7 +56,7 @@ def chart(title: str, axes: Axes, lines: Sequence[Line], *, diagonal: bool = Fal
         title: Caption, plain text.
         axes: Labels and ends.
         lines: Up to four lines, in the order of their markers and colours.
-        diagonal: Draw the diagonal, too.
+        diagonal: Whether to draw the diagonal.
         every: Stride of the points that are marked and listed in the table.
 
     Returns:
@@ -64,19 +64,19 @@ def chart(title: str, axes: Axes, lines: Sequence[Line], *, diagonal: bool = Fal
     """
     parts = [_grid(axes)]
     if diagonal:
-        (x0, y0), (x1, y1) = axes.place(0, 0), axes.place(axes.x_end, axes.y_end)
+        (x0, y0), (x1, y1) = axes.to_drawing(0, 0), axes.to_drawing(axes.x_end, axes.y_end)
         parts.append(f'<path class="ideal" d="M{x0} {y0}L{x1} {y1}"/>')
     parts += [_line(i, line, axes, every) for i, line in enumerate(lines)]
     return _figure(title, axes, lines, parts, every)
 
 
 def histogram(title: str, axes: Axes, groups: Sequence[Line]) -> Markup:
-    """Draw a figure with a bar for each band of each group.
+    """Draw a histogram with a bar for each band of each group.
 
     Args:
         title: Caption, plain text.
         axes: Labels and ends.
-        groups: Groups of bars: `x` are the middles of bands of one width, `y` the heights.
+        groups: Groups of bars: `x` are the centres of bands of equal width, `y` the heights.
 
     Returns:
         The figure as markup: drawing, legend and the numbers as a table.
@@ -103,7 +103,7 @@ def _grid(axes: Axes) -> str:
     marks = []
     for i in range(6):
         x, y = axes.x_end * i / 5, axes.y_end * i / 5
-        (px, bottom), (left, py) = axes.place(x, 0), axes.place(0, y)
+        (px, bottom), (left, py) = axes.to_drawing(x, 0), axes.to_drawing(0, y)
         marks.append(f'<path class="grid" d="M{px} {PLOT_TOP}V{bottom}M{left} {py}H{PLOT_WIDTH - PLOT_RIGHT}"/>')
         marks.append(f'<text x="{px}" y="{bottom + 16}" text-anchor="middle">{x:g}</text>')
         marks.append(f'<text x="{left - 6}" y="{py + 4}" text-anchor="end">{y:g}</text>')
@@ -121,7 +121,7 @@ def _known(line: Line) -> list[tuple[int, float, float]]:
 
 
 def _line(number: int, line: Line, axes: Axes, every: int) -> str:
-    points = [(i, *axes.place(x, y), x, y) for i, x, y in _known(line)]
+    points = [(i, *axes.to_drawing(x, y), x, y) for i, x, y in _known(line)]
     if not points:
         return ""
     path = "M" + "L".join(f"{px} {py}" for _, px, py, _, _ in points)
@@ -139,12 +139,12 @@ def _bars(number: int, group: Line, axes: Axes) -> str:
     """Draw the outline of a group of bars, filled faintly, with a tooltip for each bar."""
     half = (group.x[1] - group.x[0]) / 2
     known = _known(group)
-    corners = [axes.place(x + side, y) for _, x, y in known for side in (-half, half)]
-    first, last = axes.place(group.x[0] - half, 0), axes.place(group.x[-1] + half, 0)
+    corners = [axes.to_drawing(x + side, y) for _, x, y in known for side in (-half, half)]
+    first, last = axes.to_drawing(group.x[0] - half, 0), axes.to_drawing(group.x[-1] + half, 0)
     outline = "M" + "L".join(f"{px} {py}" for px, py in [first, *corners, last])
     out = [f'<path class="band s{number % 4}" d="{outline}"/>']
     for _, x, y in known:
-        px, py = axes.place(x, y)
+        px, py = axes.to_drawing(x, y)
         tip = f"{group.name}: {axes.x_label} {x - half:.3g} to {x + half:.3g}, {axes.y_label} {y:.3f}"
         shape = MARKER_PATHS[MARKER_NAMES[number % 4]].format(px, py)
         if y > 0:

@@ -1,4 +1,4 @@
-"""Photographs inside the page, with vehicles drawn over them as SVG that keeps its line widths at any size."""
+"""Photographs in a page, with vehicles drawn over them as SVG with constant line widths."""
 
 import base64
 from collections.abc import Collection, Sequence
@@ -26,33 +26,33 @@ class EmbeddedImage:
     """Longer side, pixels."""
     jpeg_quality: int = 78
     letters: float = 11.0
-    """Size of letters, in `unit`s."""
+    """Size of letters, in multiples of `unit`."""
     letter_width: float = 0.6
     """Mean width of a semi-bold letter of a sans-serif font, in sizes."""
     lines_away: int = 12
-    """Largest distance of a text from its box, lines."""
+    """Maximum distance of a text from its box, lines."""
 
 
 EMBEDDED_IMAGE: Final = EmbeddedImage()
 
 
 def embedded(path: Path, size: tuple[int, int]) -> str:
-    """An image file of `size` (width, height) as a data address; a UserError says what is wrong with it."""
+    """Return an image file of `size` (width, height) as a data URL; a UserError names the error in it."""
     return jpeg(read_image(path, size))
 
 
 def jpeg(
     pixels: NDArray[np.uint8], *, longest: int = EMBEDDED_IMAGE.longest_px, quality: int = EMBEDDED_IMAGE.jpeg_quality
 ) -> str:
-    """Encode an image as a data address.
+    """Encode an image as a data URL.
 
     Args:
         pixels: (H, W, 3) RGB.
-        longest: Longer edge at most, pixels; larger images are made smaller.
-        quality: Of the JPEG, 0 to 100.
+        longest: Maximum length of the longer edge, pixels; larger images are scaled down.
+        quality: JPEG quality, 0 to 100.
 
     Returns:
-        A `data:` address.
+        A `data:` URL.
     """
     data = encoded_jpeg(pixels, longest=longest, quality=quality)
     return "data:image/jpeg;base64," + base64.b64encode(data).decode()
@@ -64,7 +64,7 @@ def encoded_jpeg(pixels: NDArray[np.uint8], *, longest: int, quality: int) -> by
     Args:
         pixels: (H, W, 3) RGB.
         longest: Maximum length of the longer edge, pixels; a larger image is scaled down.
-        quality: Of the JPEG, 0 to 100.
+        quality: JPEG quality, 0 to 100.
     """
     scale = min(1.0, longest / max(pixels.shape[:2]))
     if scale < 1:
@@ -75,17 +75,17 @@ def encoded_jpeg(pixels: NDArray[np.uint8], *, longest: int, quality: int) -> by
 
 
 def drawing(layers: Sequence[str], size: tuple[int, int]) -> Markup:
-    """Layers as one drawing over a photograph of `size` (width, height)."""
+    """Return layers as one drawing over a photograph of `size` (width, height)."""
     return tag("svg", *layers, viewBox="0 0 {} {}".format(*size), aria_hidden="true", preserveAspectRatio="none")
 
 
 def unit(width: int) -> float:
-    """Unit of sizes inside a drawing over an image of `width` pixels."""
+    """Return the unit of sizes in a drawing over an image of `width` pixels."""
     return max(1.0, width / 640)
 
 
 def box_svg(box_xywh: ArrayLike, name: str | None = None) -> Markup:
-    """A rectangle; `name` is its tooltip."""
+    """Return a rectangle with the tooltip `name`."""
     x, y, w, h = (round(float(v), 1) for v in np.asarray(box_xywh))
     return tag("rect", x=x, y=y, width=max(w, 0), height=max(h, 0), data_tip=name)
 
@@ -99,37 +99,39 @@ def points(
     skeleton: Sequence[tuple[int, int]],
     shown: Collection[int] = range(keypoints.K),
 ) -> Markup:
-    """Keypoints of a vehicle as SVG paths.
+    """Return keypoints of a vehicle as SVG paths.
 
     Args:
         at: (33, 2 or more) x, y.
-        placed: (33,) which have a place and get a mark.
-        sure: (33,) which marks are dots; the others are rings.
-        joined: (33,) which keypoints the skeleton connects.
+        placed: (33,) whether a keypoint has a position and gets a mark.
+        sure: (33,) whether the mark is a dot; otherwise a ring.
+        joined: (33,) whether the skeleton connects the keypoint.
         scale: `unit` of the drawing.
         skeleton: Pairs of keypoints.
-        shown: Which keypoints are drawn at all.
+        shown: Indices of the drawn keypoints.
     """
     edges = "".join(
-        f"M{place(at[a])}L{place(at[b])}" for a, b in skeleton if a in shown and b in shown and joined[a] and joined[b]
+        f"M{path_point(at[a])}L{path_point(at[b])}"
+        for a, b in skeleton
+        if a in shown and b in shown and joined[a] and joined[b]
     )
     r = 1.6 * scale
     ring = f"m{-r:g} 0a{r:g} {r:g} 0 1 0 {2 * r:g} 0a{r:g} {r:g} 0 1 0 {-2 * r:g} 0"
-    dots = "".join(f"M{place(at[k])}h0" for k in shown if placed[k] and sure[k])
-    rings = "".join(f"M{place(at[k])}{ring}" for k in shown if placed[k] and not sure[k])
+    dots = "".join(f"M{path_point(at[k])}h0" for k in shown if placed[k] and sure[k])
+    rings = "".join(f"M{path_point(at[k])}{ring}" for k in shown if placed[k] and not sure[k])
     return path_svg(edges, "edges") + path_svg(rings, "rings") + path_svg(dots, "dots")
 
 
-def place(point: Array) -> str:
+def path_point(point: Array) -> str:
     """Format x and y of a position (2 or more,) for an SVG path."""
     return f"{point[0]:.1f} {point[1]:.1f}"
 
 
 def labels_svg(of: Sequence[tuple[ArrayLike, str]], size: tuple[int, int]) -> Markup:
-    """A text for each of some boxes in an image of `size` (width, height), near its box and clear of the other texts.
+    """Draw a text for each box in an image of `size` (width, height), near its box and clear of the other texts.
 
-    A text stands above its box, or else below it, or else as little higher or lower as there is room, with a line that
-    leads to the box. The texts of tall boxes, which are near, are placed first.
+    A text is above its box, else below it, else as little higher or lower as possible, with a line to the box. The
+    texts of tall boxes, which are near, are placed first.
     """
     width, height = size
     letters = EMBEDDED_IMAGE.letters * unit(width)
@@ -148,9 +150,12 @@ def labels_svg(of: Sequence[tuple[ArrayLike, str]], size: tuple[int, int]) -> Ma
         ]
         inside = [top for top in tops if 0 <= top <= height - high] or [float(np.clip(above, 0, height - high))]
         places = [np.array([left, top, left + long, top + high]) for top in inside]
-        place_of = next((one for one in places if not any(_overlap(one, other) for other in taken)), places[0])
-        taken.append(place_of)
-        _, top, _, bottom = place_of
+        chosen = next(
+            (candidate for candidate in places if not any(_overlap(candidate, neighbour) for neighbour in taken)),
+            places[0],
+        )
+        taken.append(chosen)
+        _, top, _, bottom = chosen
         if bottom < above:
             out.append(path_svg(f"M{left:.1f} {bottom:.1f}L{x0:.1f} {y0:.1f}", "leader"))
         elif top > below + high:
@@ -160,5 +165,5 @@ def labels_svg(of: Sequence[tuple[ArrayLike, str]], size: tuple[int, int]) -> Ma
 
 
 def _overlap(a: Array, b: Array) -> bool:
-    """Whether two rectangles (4,) xyxy have a point inside both."""
+    """Return whether the interiors of two rectangles (4,) xyxy overlap."""
     return bool((np.maximum(a[:2], b[:2]) < np.minimum(a[2:], b[2:])).all())

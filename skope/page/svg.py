@@ -1,4 +1,4 @@
-"""Elements of drawings, SVG that is computed point by point."""
+"""SVG elements of computed drawings."""
 
 from markupsafe import Markup, escape
 
@@ -8,9 +8,9 @@ def tag(name: str, *children: str, **attributes: object) -> Markup:
 
     Args:
         name: Name of the element.
-        children: What is in it; all but `Markup` is escaped.
-        attributes: Attributes, which are escaped; None leaves one out. An underscore is a hyphen, one at the end
-            nothing: class_ is class.
+        children: Content of the element; everything except `Markup` is escaped.
+        attributes: Attributes, which are escaped; None omits one. Underscores become hyphens, and a trailing one is
+            dropped: class_ is class.
     """
     written = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{escape(value)}"'
@@ -21,5 +21,5 @@ def tag(name: str, *children: str, **attributes: object) -> Markup:
 
 
 def path_svg(d: str, class_: str) -> Markup:
-    """A path, or nothing where there is nothing to draw."""
+    """Return a path, or empty markup if there is nothing to draw."""
     return tag("path", class_=class_, d=d) if d else Markup()

@@ -1,6 +1,6 @@
-"""Pages from templates: HTML stands in files below skope/, every value is escaped, and Python hands values over.
+"""Pages from templates: HTML files below skope/, filled with escaped values.
 
-base.html is the frame of all pages, pieces.html has the macros that they share.
+base.html is the frame of all pages; pieces.html has their common macros.
 """
 
 import re
@@ -23,7 +23,7 @@ CODE_WORD: Final = re.compile(r"`([^`]+)`")
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell of a table with a note below its text."""
+    """Table cell with a note below its text."""
 
     text: object
     note: str | None
@@ -31,36 +31,37 @@ class Cell:
 
 @dataclass(frozen=True)
 class ShareCell:
-    """A cell of a table with a share from 0 to 1, shown as percent with a bar behind it; None: not available."""
+    """Table cell with a share from 0 to 1, shown as per cent with a bar behind it; None: not available."""
 
     share: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table of a page."""
+    """Table of a page."""
 
     caption: str
-    """Caption. Of a sticky table it is the label only, as it would scroll away: its title stands above it."""
+    """Caption. For a sticky table it is only the accessible label, because it would scroll away: its title is above the
+    table."""
     head: Sequence[str]
     rows: Sequence[Sequence[object]]
-    """Cells of each row: texts, `Cell` or `ShareCell`; the first one is the row's header."""
+    """Cells of each row: texts, `Cell` or `ShareCell`; the first one is the row header."""
     foot: Sequence[object] = ()
     """Cells of a row of totals; empty for none."""
     sortable: bool = False
     """Whether headings are buttons that sort the table."""
     sticky: bool = False
-    """Headings and the first column stay visible while the table scrolls in its box; useful for long tables."""
+    """Whether headings and the first column stay visible while the table scrolls; useful for long tables."""
     folded: bool | None = None
-    """Whether a table in a section that opens is closed at first; None: it is in none."""
+    """Whether a table in a collapsible section is initially closed; None: it is in no such section."""
 
 
 def render(template: str | Path, **values: Any) -> str:
     """Write a page.
 
     Args:
-        template: Path of its template below skope/; a `Path` is that of any file.
-        values: What that is filled with; all but `Markup` is escaped.
+        template: Path of its template below skope/; a `Path` can be any file.
+        values: Values for the template; everything except `Markup` is escaped.
     """
     known = _environment()
     if isinstance(template, Path):
@@ -90,15 +91,15 @@ def _environment() -> "Environment":
 
 
 def text_of(path: str) -> Markup:
-    """The text of a file below skope/, as it is."""
+    """Return the text of a file below skope/, unchanged."""
     return Markup(resources.files("skope").joinpath(path).read_text(encoding="utf-8"))
 
 
 def bundled_script(*entries: str) -> Markup:
-    """One script for a page that is a single file: modules with all that they import, each in a scope of its own.
+    """Return one script for a single-file page: modules with all that they import, each in its own scope.
 
     Args:
-        entries: Paths below skope/. What they import lies beside them, or in skope/page.
+        entries: Paths below skope/. Imported files are beside them, or in skope/page.
     """
     parts: dict[str, str] = {}
 
@@ -106,9 +107,9 @@ def bundled_script(*entries: str) -> Markup:
         text = text_of(path)
         for name in IMPORT_LINE.findall(text):
             beside = f"{path.rpartition('/')[0]}/{name}"
-            other = beside if resources.files("skope").joinpath(beside).is_file() else f"page/{name}"
-            if other not in parts:
-                add(other)
+            module = beside if resources.files("skope").joinpath(beside).is_file() else f"page/{name}"
+            if module not in parts:
+                add(module)
         body = EXPORT_WORD.sub("", IMPORT_LINE.sub("", text))
         parts[path] = f"{{\n{body}}}\n" if path in entries else body
 
@@ -123,10 +124,10 @@ def _code(text: str) -> Markup:
 
 
 def percent_text(value: float | None) -> str:
-    """A share in percent, "–" where there was nothing to divide by."""
+    """Return a share in per cent; "–" if it is not available."""
     return "–" if value is None else f"{100 * value:.1f} %"
 
 
 def number_text(value: float | None, digits: int = 3) -> str:
-    """A number with `digits` decimals, "–" for None."""
+    """Return a number with `digits` decimals; "–" for None."""
     return "–" if value is None else f"{value:.{digits}f}"

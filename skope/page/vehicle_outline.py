@@ -1,4 +1,4 @@
-"""The vehicle's outline as SVG with a share at each keypoint, and the numbers as a table below."""
+"""Outline of the vehicle as SVG with a share at each keypoint, and the numbers as a table below."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,8 +11,9 @@ from skope import keypoints
 from skope.page.svg import path_svg, tag
 from skope.page.templates import Table, piece
 
-# A vehicle seen from above with its sides folded out, the lower a point the farther: forward, and from the middle.
-POINT_PLACES: Final = {
+# Vehicle seen from above with its sides folded out, so that lower points are farther out. Forward, and outwards from
+# the middle.
+POINT_POSITIONS: Final = {
     "roof_front": (1.0, 0.9),
     "roof_rear": (-1.6, 0.9),
     "windscreen_base": (2.2, 1.15),
@@ -30,29 +31,31 @@ POINT_PLACES: Final = {
     "mirror": (1.55, 1.95),
     "beltline": (-0.3, 1.6),
 }
-LOGO_PLACE: Final = (5.0, 0.0)
-assert {"front_logo", *(f"{part}_{side}" for part in POINT_PLACES for side in ("right", "left"))} == {*keypoints.NAMES}
+LOGO_POSITION: Final = (5.0, 0.0)
+assert {"front_logo", *(f"{part}_{side}" for part in POINT_POSITIONS for side in ("right", "left"))} == {
+    *keypoints.NAMES
+}
 
 
 def plan(name: str) -> tuple[float, float]:
-    """Place of a keypoint in the outline: x to the right is forward, y down is the vehicle's right."""
+    """Return the position of a keypoint in the outline: x to the right is forward, y down is the vehicle's right."""
     if name == "front_logo":
-        return LOGO_PLACE
+        return LOGO_POSITION
     stem, side = name.rsplit("_", 1)
-    forward, out = POINT_PLACES[stem]
+    forward, out = POINT_POSITIONS[stem]
     return forward, out if side == "right" else -out
 
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """A keypoint of the outline."""
+    """Keypoint of the outline."""
 
     share: float | None
-    """Share from 0 to 1, drawn in percent; None where there was nothing to divide by."""
+    """Share from 0 to 1, drawn in per cent; None if it is not available."""
     tip: str
-    """Tooltip, which follows the keypoint's name."""
+    """Tooltip text after the keypoint's name."""
     cells: Sequence[str]
-    """Cells of the keypoint's row of the table, after its name."""
+    """Cells of the keypoint's table row after its name."""
 
 
 def outline(title: str, points: Mapping[str, Point], head: Sequence[str]) -> Markup:

@@ -68,7 +68,7 @@ class CheckpointPolicy:
     keep: int = 1
     """Number of epoch checkpoints that are kept, in addition to the best one."""
     checkpoint_interval_s: float = TRAINING_INTERVALS.checkpoint_s
-    """Minimum age of the last checkpoint for another one to be written after an epoch, seconds."""
+    """Minimum age of the last checkpoint for writing a new one after an epoch, seconds."""
     state_interval_s: float = TRAINING_INTERVALS.state_s
     """Interval between saves of the state within an epoch, seconds."""
 

@@ -76,12 +76,12 @@ class MachineOptions:
         int | None, machine(help="Number of images per batch.", show_default="1, on a GPU 8 or 16")
     ] = None
 
-    def settings(self, **others: Any) -> "Settings":
-        """The settings of inference; `others` are further ones of its fields."""
+    def settings(self, **further: Any) -> "Settings":
+        """Return the settings of inference; `further` are values of its other fields."""
         from skope.detector.network_settings import Settings
 
         names = ("device", "backend", "precision", "min_size", "batch_size")
-        return Settings(**{name: getattr(self, name) for name in names}, **others)
+        return Settings(**{name: getattr(self, name) for name in names}, **further)
 
 
 @dataclass(frozen=True, kw_only=True)

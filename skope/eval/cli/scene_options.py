@@ -110,7 +110,7 @@ class SceneOptions(KeypointOptions):
         return scene
 
     @property
-    def place(self) -> Path:
+    def images_folder(self) -> Path:
         """Folder of the file that lists the images."""
         if self.folder:
             return self.folder

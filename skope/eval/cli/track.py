@@ -56,11 +56,11 @@ def track(
         raise UserError(f"--fps: expected a number from 0.001 to 1000, got {fps:g}")
     begin = None if start_time is None else read_start_time(start_time, "--start-time")
     scene = options.scene(noise, console=console)
-    said = {} if begin is None else {"start_time": begin.isoformat()}
-    options.claim_output(out, "skope eval track", fps=fps, noise=noise, **said)
+    start_option = {} if begin is None else {"start_time": begin.isoformat()}
+    options.claim_output(out, "skope eval track", fps=fps, noise=noise, **start_option)
     job = TrackJob(
         scene=scene,
-        place=options.place,
+        place=options.images_folder,
         fps=fps,
         start_time=begin,
         noise=noise,

@@ -187,7 +187,7 @@ def tracked_footage(
     scene_options.claim_output(tracks, "skope eval track", fps=None, noise=0.0)
     track_job = TrackJob(
         scene=scene,
-        place=scene_options.place,
+        place=scene_options.images_folder,
         out=tracks,
         fps=None,
         start_time=None,

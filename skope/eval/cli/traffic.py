@@ -105,7 +105,7 @@ def _report(
     formats = checked_formats(export, site, metres=True)
     folder = Path(sources[0])
     if len(sources) > 1 or (folder / TRACKS_CSV).is_file() or (folder.is_dir() and (folder / FOOTAGE_FILE).is_file()):
-        return _report_of_tracks([Path(one) for one in sources], site, start_time, manual_count, out, formats)
+        return _report_of_tracks([Path(source) for source in sources], site, start_time, manual_count, out, formats)
     start = _only_begin(start_time, site)
     if (folder / FRAMES_FILE).is_file():
         return _report_in_image(folder, site, start, manual_count, out, export)
@@ -141,9 +141,12 @@ def _report_of_tracks(
     observation, start = footage.observation, footage.start
     counted = _manual_counts_of(manual_count, site, gates_on_road(site.gates), start, observation)
     # With several recordings the files alone do not determine their start times.
-    several = [f"{one.begin.isoformat()} {sha256_of(one.folder / TRACKS_CSV)[:12]}" for one in footage.recordings]
+    several = [
+        f"{recording.begin.isoformat()} {sha256_of(recording.folder / TRACKS_CSV)[:12]}"
+        for recording in footage.recordings
+    ]
     options = _options(several or _isoformat(_only_begin(start_time, site)), manual_count)
-    ordered = [one.folder for one in footage.recordings] or folders
+    ordered = [recording.folder for recording in footage.recordings] or folders
     inputs = [*(path for folder in ordered for path in track_files(folder)), site.path]
     claim_output(out, COMMAND_NAME, inputs, options)
     further = _claimed(out, inputs, options, site, formats)
@@ -259,9 +262,9 @@ def _written(
             yield f"wrote {path}"
     road = None if tracks is None else read_road_picture(tracks)
     view = view if tracks is None else read_empty_road_picture(tracks)
-    said = ", ".join([source] if isinstance(source, str) else source)
+    source_text = ", ".join([source] if isinstance(source, str) else source)
     for path in (
-        write_page(out, report, tracks=said, road=road, camera=camera, view=view),
+        write_page(out, report, tracks=source_text, road=road, camera=camera, view=view),
         *write_traffic_report(out, report, tracks=source, revision=site.revision),
     ):
         yield f"wrote {path}"

@@ -108,8 +108,8 @@ def _aligned(first: Run, run: Run, split: str) -> tuple[Blocks, dict[str, ImageC
     if sorted(image_ids) != sorted(reference):
         raise UserError(f"{path}: split {split}: not the images of {first.name}")
     blocks, columns = _valid(path, lambda: from_tallies(run.tallies[split]))
-    place = {image: i for i, image in enumerate(image_ids)}
-    order = np.array([place[image] for image in reference], dtype=np.int64)
+    index_of = {image: i for i, image in enumerate(image_ids)}
+    order = np.array([index_of[image] for image in reference], dtype=np.int64)
     aligned = {
         t: ImageCounts(**{name: column[order] for name, column in vars(counts).items()})
         for t, counts in columns.items()

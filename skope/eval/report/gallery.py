@@ -39,7 +39,7 @@ def chosen_images(values: Array, blocks: Integers) -> list[Choice]:
     The images of a kind are from different `blocks` if possible, because neighbouring frames are similar.
     """
     order = [int(i) for i in np.argsort(values, kind="stable") if not np.isnan(values[i])]
-    rank = {i: place for place, i in enumerate(order)}
+    rank = {i: position for position, i in enumerate(order)}
     inwards = sorted(order, key=lambda i: abs(rank[i] - (len(order) - 1) / 2))
     kinds: dict[int, str] = {}
     for kind, candidates in (("best", order[::-1]), ("worst", order), ("median", inwards)):
@@ -154,8 +154,10 @@ def _layers(
         for user in users:
             name = f"{user.category} {user.id if user.track_id is None else user.track_id}"
             (ignored if user.ignored else truth).append(image_viewer.box_svg(box_of(user, options.boxes), name))
-        sure = [one for one in measured.road_users if one.image_id == image.id and one.score > options.score]
-        found += [image_viewer.box_svg(one.bbox, f"{one.category}, score {one.score:.2f}") for one in sure]
+        sure = [
+            result for result in measured.road_users if result.image_id == image.id and result.score > options.score
+        ]
+        found += [image_viewer.box_svg(result.bbox, f"{result.category}, score {result.score:.2f}") for result in sure]
     wrong.append(image_viewer.labels_svg(labels, (image.width, image.height)))
     layers = {"ignored": ignored, "truth": truth, "found": found, "wrong": wrong}
     return [tag("g", *parts, class_=name) for name, parts in layers.items()], words
@@ -164,6 +166,8 @@ def _layers(
 def _strays(truth: Array, found: Array, wrong: Mask) -> Markup:
     """Return lines from the predicted to the true position of each wrong keypoint."""
     return path_svg(
-        "".join(f"M{image_viewer.place(found[k])}L{image_viewer.place(truth[k])}" for k in np.flatnonzero(wrong)),
+        "".join(
+            f"M{image_viewer.path_point(found[k])}L{image_viewer.path_point(truth[k])}" for k in np.flatnonzero(wrong)
+        ),
         "stray",
     )

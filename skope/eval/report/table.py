@@ -114,8 +114,8 @@ def published_row(table: Mapping[str, Any], split: str, threshold: str) -> list[
 
 
 def _cells(values: Sequence[float | None]) -> str:
-    pck, *others = values
-    box_pr, box_re, point_pr, point_re = (f"{ratio_text(value):>5}" for value in others)
+    pck, *precisions_recalls = values
+    box_pr, box_re, point_pr, point_re = (f"{ratio_text(value):>5}" for value in precisions_recalls)
     return f"{ratio_text(pck, percent=True):>7}  {box_pr} {box_re}  {point_pr} {point_re}"
 
 
@@ -198,9 +198,9 @@ def _intervals(splits: Mapping[str, Any], protocol: str) -> list[str]:
         t, figures = list(intervals["iou"].items())[-1]
         lines.append(f"  {name}: {evidence(intervals)}")
         if figures["pck"] is not None or figures["box_recall"][protocol] is not None:
-            pck, *others = row_of(figures, protocol)
+            pck, *precisions_recalls = row_of(figures, protocol)
             shown = [f"PCK {span(pck, percent=True)}"]
-            shown += [f"{title} {span(value)}" for title, value in zip(SHORT_TITLES, others, strict=True)]
+            shown += [f"{title} {span(value)}" for title, value in zip(SHORT_TITLES, precisions_recalls, strict=True)]
             lines.append(f"    IoU {t}: {', '.join(shown)}")
     return ["", "95% intervals (all thresholds are in metrics.json)", *lines] if lines else []
 

@@ -28,8 +28,8 @@ from skope.viewer.collection import Collection, Picture, ShownSplit, encoded, re
 def footage_collection(folder: Path) -> Collection:
     """Read the frames and detections in an output folder of `skope eval predict`."""
     file = replace(coco.read(folder / FRAMES_FILE), name="")  # footage is no split
-    results, others = apart(read_inputs.read_all_results(folder / PREDICTIONS_FILE, file))
-    users = tuple(_as_label(number, other) for number, other in enumerate(others, start=1))
+    results, found_users = apart(read_inputs.read_all_results(folder / PREDICTIONS_FILE, file))
+    users = tuple(_as_label(number, user) for number, user in enumerate(found_users, start=1))
     known = schema.checked_categories({*file.categories, *(user.category for user in users)})
     file = replace(file, road_users=users, categories=known)
     checkpoint = _checkpoint(folder)
@@ -143,8 +143,8 @@ def _ground_truth(path: Path, inputs: Mapping[str, str], names: Sequence[str]) -
     root = next((root for root in roots if (root / CARD_FILE).is_file()), None)
     _check_unchanged(path, source, inputs)
     truth = read_inputs.read_dataset(root, names) if root else read_inputs.read_annotations(source)
-    for other in truth.sources[1:]:
-        _check_unchanged(path, other, inputs)
+    for further_source in truth.sources[1:]:
+        _check_unchanged(path, further_source, inputs)
     if [file.name for file in truth.splits] != list(names):
         raise UserError(f"{path}: splits: expected {truth.splits[0].name}, got {', '.join(names)}")
     return truth

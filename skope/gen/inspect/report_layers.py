@@ -143,7 +143,9 @@ def _box_3d(image: Image, label: Annotation | RoadUser) -> Markup:
     for pieces, front in draw.edges_3d(label.box_3d, image.camera):
         if pieces and straight:
             pieces = [np.stack([pieces[0][0], pieces[-1][1]])]
-        ends[front] += "".join(f"M{image_viewer.place(start)}L{image_viewer.place(end)}" for start, end in pieces)
+        ends[front] += "".join(
+            f"M{image_viewer.path_point(start)}L{image_viewer.path_point(end)}" for start, end in pieces
+        )
     return path_svg(ends[False], "edges_3d") + path_svg(ends[True], "front")
 
 
@@ -154,4 +156,4 @@ def _mask(label: Annotation | RoadUser) -> Markup:
         return Markup()
     contours, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     rings = [cv2.approxPolyDP(contour, 0.7, True)[:, 0] + 0.5 for contour in contours]
-    return path_svg("".join(f"M{'L'.join(image_viewer.place(p) for p in ring)}Z" for ring in rings), "area")
+    return path_svg("".join(f"M{'L'.join(image_viewer.path_point(p) for p in ring)}Z" for ring in rings), "area")

@@ -178,9 +178,9 @@ def test_a_chart_places_its_points_and_leaves_gaps_out() -> None:
     marks = [a for a in page.all("path") if "data-tip" in a]
     assert [a["data-tip"] for a in marks] == ["a&b: x 0, y 0.000; p", "a&b: x 2, y 1.000; r"]
     starts = [tuple(map(float, re.findall(r"[\d.]+", a["d"] or "")[:2])) for a in marks]
-    assert starts == [axes.place(0, 0), axes.place(2, 1)]
-    assert axes.place(0, 0)[0] < axes.place(2, 0)[0]
-    assert axes.place(0, 0)[1] > axes.place(0, 1)[1]
+    assert starts == [axes.to_drawing(0, 0), axes.to_drawing(2, 1)]
+    assert axes.to_drawing(0, 0)[0] < axes.to_drawing(2, 0)[0]
+    assert axes.to_drawing(0, 0)[1] > axes.to_drawing(0, 1)[1]
     Page(chart("nothing", axes, [Line(name="a", x=[], y=[])]))
 
 
@@ -227,7 +227,7 @@ def test_a_histogram_has_a_bar_for_each_band() -> None:
     numbers = [float(v) for v in re.findall(r"[\d.]+", band["d"] or "")]
     corners = list(zip(numbers[::2], numbers[1::2], strict=True))
     expected = [(0, 0), (0, 0.5), (1, 0.5), (1, 0), (2, 0), (2, 0.3), (3, 0.3), (3, 0.2), (4, 0.2), (4, 0)]
-    assert corners == [axes.place(*corner) for corner in expected]
+    assert corners == [axes.to_drawing(*corner) for corner in expected]
     tips = [a["data-tip"] for a in page.all("path") if "data-tip" in a]
     assert tips[0] == "easy: distance, m 0 to 1, share 0.500"
     assert len(tips) == 3
