@@ -1,4 +1,4 @@
-"""Datasets: the folder, the COCO files in it, shards, depth; which of its images are taken."""
+"""Datasets: folder, COCO files, shards, depth, and selection of images."""
 
 from skope.dataset.folder import Dataset as Dataset
 from skope.dataset.folder import LabelledImage as LabelledImage

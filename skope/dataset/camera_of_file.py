@@ -45,52 +45,54 @@ def read_camera(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera
 
 
 def sized(camera: Camera, size: tuple[int, int], name: str) -> Camera:
-    """The camera at an image's size.
+    """Return the camera at the size of an image.
 
     Args:
-        camera: The camera, of the image's shape.
+        camera: The camera, with the aspect ratio of the image.
         size: Width and height of the image, pixels.
         name: Name of the image, for errors.
 
     Raises:
-        UserError: The camera's shape is not the image's.
+        UserError: The camera has another aspect ratio than the image.
     """
-    own = (camera.width, camera.height)
-    if own == size:
+    camera_size = (camera.width, camera.height)
+    if camera_size == size:
         return camera
-    if not same_aspect(own, size):
+    if not same_aspect(camera_size, size):
         raise UserError(
-            f"{name}: image size: expected the aspect ratio of the camera, {own[0]}x{own[1]}, got {size[0]}x{size[1]}"
+            f"{name}: image size: expected the aspect ratio of the camera, {camera_size[0]}x{camera_size[1]}, "
+            f"got {size[0]}x{size[1]}"
         )
     return camera.resized(size)
 
 
 def fitted_camera(camera: Camera, size: tuple[int, int], name: str, footage: str) -> tuple[Camera, str]:
-    """A camera from a file at the size of the footage it is used for.
+    """Return a camera from a file at the size of the footage that it is used for.
 
     Args:
         camera: The camera.
         size: Width and height of the footage, pixels.
-        name: Name of the camera's file, and the key in it where it is one of several, for messages.
+        name: Name of the camera's file, and its key if the file has several cameras, for messages.
         footage: Name of the footage, for messages.
 
     Returns:
-        The camera, and a sentence that it was scaled; empty where the sizes are equal.
+        The camera, and a message that it was scaled; empty if the sizes are equal.
 
     Raises:
         UserError: The aspect ratios differ by more than 1%.
     """
-    own = (camera.width, camera.height)
-    if not same_aspect(own, size):
+    camera_size = (camera.width, camera.height)
+    if not same_aspect(camera_size, size):
         raise UserError(
-            f"{name}: image size: expected the aspect ratio of {footage}, {size[0]}x{size[1]}, got {own[0]}x{own[1]}"
+            f"{name}: image size: expected the aspect ratio of {footage}, {size[0]}x{size[1]}, "
+            f"got {camera_size[0]}x{camera_size[1]}"
         )
-    words = f"{name}: camera of {own[0]}x{own[1]}, scaled to the {size[0]}x{size[1]} of {footage}"
-    return camera.resized(size), "" if own == size else words
+    words = f"{name}: camera of {camera_size[0]}x{camera_size[1]}, scaled to the {size[0]}x{size[1]} of {footage}"
+    return camera.resized(size), "" if camera_size == size else words
 
 
 def with_camera(image: Image, camera: Camera | None) -> Image:
-    """The image with `camera`, at its size, as its camera; unchanged for None."""
+    """Return the image with `camera`, at its size, as its camera; unchanged for None."""
     if camera is None:
         return image
     return replace(image, camera=sized(camera, (image.width, image.height), image.file_name))

@@ -1,4 +1,4 @@
-"""The only reader and writer of COCO JSON: annotation files and results files, both directions."""
+"""The only reader and writer of COCO JSON: annotation files and results files."""
 
 import json
 import math
@@ -26,10 +26,11 @@ _ANNOTATION_FIELDS = (
     "vehicle_type", "color", "parked", "bbox_visible", "area_full", "keypoints_3d", "box_3d", "box_3d_pixels",
     "articulation", "velocity", "distance", "occlusion", "truncation", "contrast", "ignore_reason",
 )  # fmt: skip
-"""The fields of `Annotation` in the order in which files have them."""
+"""Fields of `Annotation` in the order in which files have them."""
 _ROAD_USER_FIELDS = tuple(name for name in _ANNOTATION_FIELDS if name in RoadUser.__dataclass_fields__)
 _NO_KEYPOINTS = [0] * (3 * keypoints.K)
-"""Keypoints in a road user's row: all v = 0, not labelled. torchvision's readers ask every row for some."""
+"""Keypoints of a road user's row, all unlabelled (v = 0), because torchvision's readers require keypoints in every
+row."""
 
 
 # ----------------------------------------------------------------------------------------------------------- reading
@@ -39,8 +40,8 @@ def read(path: Path) -> AnnotationFile:
     """Read an annotation file.
 
     Args:
-        path: A file of skope, or any COCO keypoints file with the 33 keypoints of one of `keypoints.SCHEMES`. It has
-            either one category, or `vehicle` and others of `schema.CATEGORY_NAMES` with their ids.
+        path: A file of skope, or any COCO keypoints file with the 33 keypoints of one of `keypoints.SCHEMES`. It has a
+            single category, or `vehicle` and others of `schema.CATEGORY_NAMES` with their ids.
 
     Raises:
         UserError: A value is missing, malformed or inconsistent; the message names file, record and field.
@@ -70,13 +71,13 @@ def assembled(
     scheme: Scheme,
     categories: tuple[str, ...] = schema.VEHICLE_ALONE,
 ) -> AnnotationFile:
-    """Make an annotation file of JSON rows.
+    """Build an annotation file from JSON rows.
 
     Args:
-        rows: The row of each image, with the rows of its annotations.
-        path: What messages name as the file.
+        rows: Row of each image, with the rows of its annotations.
+        path: Name of the file in messages.
         split: Name of the split.
-        scheme: What the keypoints are.
+        scheme: Scheme of the keypoints.
         categories: Names of the categories that were labelled.
     """
     images: list[Image] = []
@@ -93,7 +94,7 @@ def assembled(
 
 
 def _by_kind(labels: Iterable[Annotation | RoadUser]) -> dict[str, Any]:
-    """The fields of `AnnotationFile` that hold vehicles and other road users."""
+    """Return the fields of `AnnotationFile` with vehicles and other road users."""
     labels = tuple(labels)
     return {
         "annotations": tuple(label for label in labels if isinstance(label, Annotation)),
@@ -102,9 +103,9 @@ def _by_kind(labels: Iterable[Annotation | RoadUser]) -> dict[str, Any]:
 
 
 def _label_parser(categories: tuple[str, ...]) -> Callable[[Mapping[str, Any]], Annotation | RoadUser]:
-    """Make a parser of elements of `annotations` in a file of these categories.
+    """Return a parser of elements of `annotations` in a file of these categories.
 
-    Where vehicles are the only category, each row is one, whatever id the file's makers gave to vehicles.
+    If vehicles are the only category, each row is a vehicle, whatever its category id.
     """
 
     def parse(row: Mapping[str, Any]) -> Annotation | RoadUser:
@@ -119,7 +120,7 @@ def _label_parser(categories: tuple[str, ...]) -> Callable[[Mapping[str, Any]], 
 
 
 def images_of(path: Path, rows: Iterable[Any]) -> tuple[Image, ...]:
-    """The elements of `images`; a UserError names `path`, the record and the field that is wrong."""
+    """Return the elements of `images`; a UserError names `path`, the record and the invalid field."""
     return _parse_rows(path, "images", rows, image_from_dict)
 
 
@@ -150,7 +151,7 @@ def _parsed(path: Path, key: str, rows: Iterable[Any], parse: Callable[[Any], T]
 
 
 def _categories(path: Path, document: Mapping[str, Any]) -> tuple[str, ...]:
-    """Names of a file's categories: `vehicle` for one alone, whatever its makers call it, else several of ours."""
+    """Return a file's category names: `vehicle` for a single category, whatever its name, else several of skope's."""
     rows = document.get("categories")
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise UserError(f"{path}: field categories: expected exactly one category")
@@ -176,7 +177,7 @@ def _scheme(path: Path, document: Mapping[str, Any]) -> Scheme:
     if not isinstance(names, list) or len(names) != keypoints.K:
         count = len(names) if isinstance(names, list) else "none"
         raise UserError(f"{path}: categories[0].keypoints: expected {keypoints.K} names, got {count}")
-    if stated is None:  # a file of another source: annotators mark what they see
+    if stated is None:  # a file of another source, in which people marked visible points
         scheme = next((s for s in keypoints.SCHEMES.values() if s.names == tuple(names)), SKOPE33)
     else:
         try:
@@ -206,7 +207,7 @@ def _check_ids(path: Path, images: Sequence[Image], annotations: Sequence[Labell
 
 
 def image_from_dict(row: Mapping[str, Any]) -> Image:
-    """One element of `images`; unknown fields are left out."""
+    """Return an element of `images`; unknown fields are omitted."""
     values = {name: row[name] for name in _IMAGE_FIELDS if name in row}
     for name in ("id", "file_name", "width", "height"):
         values[name] = row[name]
@@ -216,7 +217,7 @@ def image_from_dict(row: Mapping[str, Any]) -> Image:
 
 
 def _camera(row: Any, width: int, height: int) -> Camera:
-    """The camera of an image; those of footage are all the same one, which is kept once."""
+    """Return the camera of an image; equal cameras of footage share one object."""
     return _known_camera(json_bytes([row, width, height]))
 
 
@@ -227,17 +228,17 @@ def _known_camera(row_and_size: bytes) -> Camera:
 
 
 def annotation_from_dict(row: Mapping[str, Any]) -> Annotation:
-    """An element of `annotations` that is a vehicle; unknown fields are left out."""
+    """Return a vehicle from an element of `annotations`; unknown fields are omitted."""
     return Annotation(**_values(row, _ANNOTATION_FIELDS, ("id", "image_id", "bbox", "keypoints")))
 
 
 def road_user_from_dict(row: Mapping[str, Any]) -> RoadUser:
-    """An element of `annotations` of another category than vehicle; unknown fields and keypoints are left out."""
+    """Return another road user from an element of `annotations`; unknown fields and keypoints are omitted."""
     return RoadUser(**_values(row, _ROAD_USER_FIELDS, ("id", "image_id", "bbox", "category_id")))
 
 
 def _values(row: Mapping[str, Any], fields: Iterable[str], needed: Iterable[str]) -> dict[str, Any]:
-    """The fields of an annotation or road user that a row has; a KeyError where one that is needed is missing."""
+    """Return the fields of an annotation or road user in a row; a KeyError if a required field is missing."""
     values = {name: row[name] for name in fields if name in row}
     for name in needed:
         values[name] = row[name]
@@ -252,39 +253,41 @@ def _values(row: Mapping[str, Any], fields: Iterable[str], needed: Iterable[str]
 
 
 def read_results(path: Path, foreign: str | None = None) -> tuple[Result, ...]:
-    """Read the vehicles of a COCO results file; one without `bbox` gets the extent of its keypoints of a score above 0.
+    """Read the vehicles of a COCO results file.
+
+    A result without `bbox` gets the extent of its keypoints with a score above 0.
 
     Args:
         path: A .json file with a list of results.
-        foreign: The keypoints' scheme where it is not ours, one of `keypoints.FOREIGN_SCHEMES`. Points that mean the
-            same as one of ours are taken over; our other points are 0.
+        foreign: Scheme of the keypoints if it is not skope's, one of `keypoints.FOREIGN_SCHEMES`. Points with the same
+            meaning are taken over; all other points are 0.
 
     Raises:
-        UserError: A result is malformed; it names file, result and field.
+        UserError: A result is malformed; the message names file, result and field.
     """
     return tuple(iter_results(path, foreign))
 
 
 def read_road_user_results(path: Path) -> tuple[RoadUserResult, ...]:
-    """Read the people on foot and on two wheels of a COCO results file; a UserError as in `read_results`."""
+    """Read the pedestrians and two-wheelers of a COCO results file; raise a UserError as `read_results` does."""
     return tuple(result for result in iter_all_results(path) if isinstance(result, RoadUserResult))
 
 
 def iter_results(path: Path, foreign: str | None = None) -> Iterator[Result]:
-    """The results of `read_results` one by one.
+    """Yield the results of `read_results` one by one.
 
-    No more than one is in memory where the file has a line for each, as the files that skope writes.
+    Only one result is in memory if each is on its own line, as in files that skope writes.
     """
     return (result for result in iter_all_results(path, foreign) if isinstance(result, Result))
 
 
 def iter_all_results(path: Path, foreign: str | None = None) -> Iterator[Result | RoadUserResult]:
-    """The results of a file one by one, in its order, of vehicles and of other road users (see `iter_results`)."""
+    """Yield the results of a file in its order, of vehicles and of other road users (see `iter_results`)."""
     return _parsed(path, "results", _result_rows(path), lambda row: any_result_from_dict(row, foreign))
 
 
 def _result_rows(path: Path) -> Iterator[Any]:
-    """The elements of a list, line by line as long as a line holds one, with the rest at once."""
+    """Yield the elements of a list, line by line while each line contains one, and the rest at once."""
     count = 0
     if path.is_file():
         with path.open("rb") as file:
@@ -309,9 +312,9 @@ def _result_rows(path: Path) -> Iterator[Any]:
 
 
 def any_result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> Result | RoadUserResult:
-    """One element of a results file: a road user where it has one of their categories and no keypoints.
+    """Return an element of a results file: a road user if it has such a category and no keypoints.
 
-    Other people number their vehicles as they like; theirs have keypoints, and all of `foreign` are vehicles.
+    Other programs number their vehicles differently; theirs have keypoints. All elements with `foreign` are vehicles.
     """
     if foreign is None and "keypoints" not in row and row.get("category_id") in schema.ROAD_USER_IDS:
         return RoadUserResult(
@@ -326,7 +329,7 @@ def any_result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> 
 
 
 def result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> Result:
-    """One element of a results file that is a vehicle (see `read_results`)."""
+    """Return a vehicle from an element of a results file (see `read_results`)."""
     theirs = records.check_array(
         "keypoints", row["keypoints"], keypoints.FOREIGN_K[foreign] if foreign else keypoints.K, 3
     )
@@ -358,12 +361,12 @@ def result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> Resu
 
 
 def _rounded(values: Any, digits: int) -> Any:
-    """Numbers as numpy rounds them, of any shape; never -0.0, so that equal labels have equal bytes."""
+    """Return numbers rounded as by numpy, of any shape; never -0.0, so that equal labels have equal bytes."""
     scale = 10.0**digits
     if isinstance(values, float):
         return round(values * scale) / scale
     array = np.asarray(values, dtype=np.float64)
-    if array.ndim == 1:  # numpy takes longer to be called than to round a handful
+    if array.ndim == 1:  # calling numpy takes longer than rounding a few numbers
         return [round(value * scale) / scale for value in array.tolist()]
     return (np.round(array, digits) + 0.0).tolist()
 
@@ -376,7 +379,7 @@ _FIELD_DIGITS = {
 
 
 def image_to_dict(image: Image) -> dict[str, Any]:
-    """One element of `images`; fields that are None are left out."""
+    """Return an element of `images`, without fields that are None."""
     row: dict[str, Any] = {}
     for name in _IMAGE_FIELDS:
         value = getattr(image, name)
@@ -386,17 +389,20 @@ def image_to_dict(image: Image) -> dict[str, Any]:
 
 
 def annotation_to_dict(annotation: Annotation) -> dict[str, Any]:
-    """A vehicle's element of `annotations`: 0.01 px and 0.1 mm, matrices unrounded; without fields that are None."""
+    """Return a vehicle's element of `annotations`, without fields that are None.
+
+    Pixels are rounded to 0.01 and metres to 0.1 mm; matrices are not rounded.
+    """
     row = _label_row(annotation, _ANNOTATION_FIELDS)
     places = _rounded(annotation.keypoints[:, :2], 2)
     visible = annotation.keypoints[:, 2].tolist()
-    row["keypoints"] = [x for place, v in zip(places, visible, strict=True) for x in (*place, int(v))]
+    row["keypoints"] = [x for point, v in zip(places, visible, strict=True) for x in (*point, int(v))]
     row["num_keypoints"] = annotation.num_keypoints
     return row
 
 
 def road_user_to_dict(user: RoadUser) -> dict[str, Any]:
-    """A road user's element of `annotations`, rounded as a vehicle's; its keypoints are not labelled, all zero."""
+    """Return a road user's element of `annotations`, rounded as a vehicle's, with unlabelled keypoints."""
     return _label_row(user, _ROAD_USER_FIELDS) | {"keypoints": _NO_KEYPOINTS, "num_keypoints": 0}
 
 
@@ -420,23 +426,23 @@ def _label_row(label: Labelled, fields: Iterable[str]) -> dict[str, Any]:
 
 
 def write(path: Path, file: AnnotationFile) -> None:
-    """Write an annotation file, one record a line; the same records give the same bytes.
+    """Write an annotation file, one record per line; equal records give equal bytes.
 
     Args:
-        path: The .json file to write; it is replaced as a whole or not at all.
+        path: The .json file to write, which is replaced atomically.
         file: Images and annotations. Pixels are rounded to 0.01, metres to 0.0001.
     """
     write_rows(path, file.info, map(image_to_dict, file.images), label_rows(file), file.scheme, file.categories)
 
 
 def label_rows(file: AnnotationFile) -> Iterator[dict[str, Any]]:
-    """The elements of `annotations`: vehicles in file order; with road users by image, in each the vehicles first."""
+    """Yield the elements of `annotations` in file order; with road users by image, vehicles first."""
     if not file.road_users:
         yield from map(annotation_to_dict, file.annotations)
         return
     for labels in file.labels_by_image().values():
         yield from (
-            annotation_to_dict(one) if isinstance(one, Annotation) else road_user_to_dict(one) for one in labels
+            annotation_to_dict(label) if isinstance(label, Annotation) else road_user_to_dict(label) for label in labels
         )
 
 
@@ -448,10 +454,10 @@ def write_rows(
     scheme: Scheme = SKOPE33,
     categories: tuple[str, ...] = schema.VEHICLE_ALONE,
 ) -> None:
-    """Write records that are dictionaries already (see `image_to_dict`, `label_rows`) as an annotation file.
+    """Write records in dictionary form (see `image_to_dict`, `label_rows`) as an annotation file.
 
     Args:
-        path: The .json file to write; it is replaced as a whole or not at all.
+        path: The .json file to write, which is replaced atomically.
         info: Further fields of the file's `info`.
         images: Elements of `images`.
         annotations: Elements of `annotations`.
@@ -469,11 +475,11 @@ def write_lines(
     scheme: Scheme = SKOPE33,
     categories: tuple[str, ...] = schema.VEHICLE_ALONE,
 ) -> None:
-    """Write records that are JSON already as an annotation file, a line each.
+    """Write records in JSON form as an annotation file, one per line.
 
     Args:
-        path: The .json file to write; it is replaced as a whole or not at all.
-        info: Further fields of the file's `info`; what `scheme` gives replaces theirs of the same name.
+        path: The .json file to write, which is replaced atomically.
+        info: Further fields of the file's `info`; fields of `scheme` take precedence.
         images: Elements of `images`, JSON each.
         annotations: Elements of `annotations`, JSON each.
         scheme: Definition of the keypoints.
@@ -497,9 +503,9 @@ def _separated(rows: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def result_to_dict(result: Result | RoadUserResult) -> dict[str, Any]:
-    """One element of a results file; what was followed between key frames, most of it, is rounded to pixels.
+    """Return an element of a results file. Results that are interpolated between key frames are rounded to pixels.
 
-    That of a road user has no keypoints: pycocotools takes results with a box for boxes.
+    A road user's element has no keypoints: pycocotools takes results with a box for boxes.
     """
     points = {}
     if isinstance(result, Result):
@@ -521,19 +527,19 @@ def _points(result: Result) -> list[float]:
 
 
 def _followed_points(result: Result) -> list[float]:
-    """Whole pixels, and probabilities in tenths."""
+    """Return whole pixels, and probabilities in tenths."""
     places = np.rint(result.keypoints[:, :2]).astype(np.int64).tolist()
     sure = np.round(result.keypoints[:, 2], 1).tolist()
     return [value for (x, y), p in zip(places, sure, strict=True) for value in (x, y, int(p) if p in (0.0, 1.0) else p)]
 
 
 def write_results(path: Path, results: Iterable[Result | RoadUserResult]) -> None:
-    """Write a COCO results file, one result a line."""
+    """Write a COCO results file, one result per line."""
     write_result_rows(path, map(result_to_dict, results))
 
 
 def write_result_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write already serialised results (see `result_to_dict`) as a COCO results file, one a line as they come."""
+    """Write serialised results (see `result_to_dict`) as a COCO results file, one per line as they arrive."""
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(b"[\n")
         file.writelines(_separated(map(json_bytes, rows)))

@@ -1,4 +1,4 @@
-"""Depth files: 16-bit PNGs as KITTI's, metres = value / 256, 0 = sky."""
+"""Depth files: 16-bit PNGs as in KITTI, metres = value / 256, 0 = sky."""
 
 import struct
 import zlib
@@ -15,21 +15,21 @@ from skope.errors import UserError
 
 @dataclass(frozen=True)
 class DepthCoding:
-    """How depth is kept in files."""
+    """Storage of depth in files."""
 
     scale: float = 256.0
     """Depth files hold round(metres * 256)."""
     band_rows: int = 64
-    """Rows that are encoded at once: few enough for the processor's cache."""
+    """Number of rows that are encoded at once, small enough for the processor's cache."""
     png_filter: int = 2
-    """PNG's filter that stores each row as its difference from the one above."""
+    """PNG filter that stores each row as its difference from the row above."""
 
 
 DEPTH_CODING: Final = DepthCoding()
 
 
 def encode_depth(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """(H, W) metres, sky = +inf -> the 16-bit values of a depth file (0 = sky, 65535 = 255.99 m or farther)."""
+    """Convert (H, W) metres, sky = +inf, to 16-bit values of a depth file: 0 is the sky, 65535 is 255.99 m or more."""
     out = np.empty(depth_m.shape, dtype=np.uint16)
     for first in range(0, len(out), DEPTH_CODING.band_rows):
         band = depth_m[first : first + DEPTH_CODING.band_rows]
@@ -42,9 +42,9 @@ def encode_depth(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 
 def depth_png(depth_m: NDArray[np.float32]) -> bytes:
-    """A depth file's content for (H, W) metres.
+    """Return a depth file's content for (H, W) metres.
 
-    Written here because Intel's ISA-L compresses it five times as fast as OpenCV's PNG encoder does, and smaller.
+    Intel's ISA-L compresses it five times as fast as OpenCV's PNG encoder, and smaller.
     """
     from isal import isal_zlib
 

@@ -21,10 +21,10 @@ from skope.schema import Annotation, AnnotationFile, Image, RoadUser
 
 CARD_FILE: Final = "dataset.json"
 MANIFEST_FILE: Final = "manifest.json"
-"""Checksums (SHA-256) of a dataset's files, and of each image what its card counts."""
+"""Checksums (SHA-256) of a dataset's files, and the counts of each image for the card."""
 FRAMES_FILE: Final = "frames.json"
 PREDICTIONS_FILE: Final = "predictions.json"
-"""File that `skope eval predict` writes: the images, and what was found in them."""
+"""File of `skope eval predict` with the images and, as annotations, the detections."""
 FOLLOWED_KEY: Final = "followed"
 """Key in `info` of the frames: whether vehicles were tracked by points from image to image."""
 CHANGES_KEY: Final = "view_changes"
@@ -33,13 +33,12 @@ that was registered with `settled_s`, `homography`, `residual_px` and `corner_er
 DETECTOR_KEY: Final = "detector"
 """Key in `info` of the frames: the detector, as the name of shipped weights or the path of a file."""
 VISIBILITY_KEY: Final = "visibility_samples"
-"""Under this name the `info` of frames says how bright a video is and how much contrast it has: rows of time (s),
-brightness (0 to 1) and contrast."""
+"""Key in `info` of the frames: brightness and contrast of a video, as rows of time (s), brightness (0 to 1) and
+contrast."""
 PIXEL_WIDTH: Final = "pixel_width"
-"""Under this name the `info` of frames says how wide a pixel is, in its heights, where a video says that they are not
-square."""
+"""Key in `info` of the frames: width of a pixel relative to its height, if a video states that they are not square."""
 SKIPPED_KEY: Final = "skipped"
-"""Key in `info` of the frames: lines on what could not be read in the footage. Absent: all of it was read."""
+"""Key in `info` of the frames: messages on unreadable parts of the footage. Absent if all of it was read."""
 START_TIME_KEY: Final = "start_time"
 """Key in `info` of the frames: the time of second 0 of a live stream, with its offset."""
 
@@ -53,19 +52,19 @@ TYPE_NAMES: Final[dict[type, str]] = {dict: "an object", list: "a list", str: "t
 
 @dataclass(frozen=True, eq=False)
 class LabelledImage:
-    """An image of a dataset with its annotations; pixels are read when asked for."""
+    """Image of a dataset with its annotations; pixels are read on request."""
 
     dataset: "Dataset"
     split: str
     record: Image
     annotations: tuple[Annotation, ...]
-    """Its vehicles."""
+    """Vehicles in the image."""
     road_users: tuple[RoadUser, ...] = ()
-    """People on foot and on two wheels, where the dataset labels them."""
+    """Pedestrians and two-wheelers, if the dataset labels them."""
 
     @property
     def camera(self) -> Camera | None:
-        """The camera that took it; None where the dataset does not say."""
+        """Camera of the image; None if the dataset does not contain it."""
         return self.record.camera
 
     def pixels(self) -> NDArray[np.uint8]:
@@ -79,9 +78,9 @@ class LabelledImage:
 
 @dataclass(frozen=True)
 class Dataset:
-    """A dataset folder. Annotation files are read when asked for.
+    """Dataset folder. Annotation files are read on request.
 
-    Iterating over it gives the images of all splits, `images(split)` those of one.
+    Iteration yields the images of all splits; `images(split)` yields those of one.
     """
 
     root: Path
@@ -96,7 +95,7 @@ class Dataset:
 
     @property
     def sources(self) -> tuple[Path, ...]:
-        """The files that say what is in it: annotations, and the manifest, where there is one, for all others."""
+        """Files that describe the content: annotations, and the manifest (if there is one) for all other files."""
         files = [] if self.sharded else [self.root / "annotations" / f"{split}.json" for split in self.splits]
         return tuple(path for path in (self.root / MANIFEST_FILE, *files) if path.is_file())
 
@@ -117,12 +116,12 @@ class Dataset:
 
     @property
     def licence(self) -> str:
-        """The licence that the card states, on one line."""
+        """Licence on the card, on one line."""
         stated = self.card.get("licence") or self.card.get("license") or "not stated"
         return " ".join(str(stated).split())
 
     def read(self, split: str) -> AnnotationFile:
-        """Annotations of one split; a UserError lists the splits there are."""
+        """Return the annotations of a split; a UserError lists the existing splits."""
         if split not in self.splits:
             raise UserError(f"{self.root}: no split {split!r}; there are: {', '.join(self.splits) or 'none'}")
         if not self.sharded:
@@ -140,11 +139,11 @@ class Dataset:
         return (labelled for split in self.splits for labelled in self.images(split))
 
     def images(self, split: str) -> Iterator[LabelledImage]:
-        """The images of a split with their annotations; a UserError lists the splits there are."""
+        """Return the images of a split with their annotations; a UserError lists the existing splits."""
         file = self.read(split)
-        vehicles, others = file.by_image(), file.road_users_by_image()
+        vehicles, road_users = file.by_image(), file.road_users_by_image()
         return (
-            LabelledImage(self, split, image, tuple(vehicles[image.id]), tuple(others[image.id]))
+            LabelledImage(self, split, image, tuple(vehicles[image.id]), tuple(road_users[image.id]))
             for image in file.images
         )
 
@@ -159,12 +158,12 @@ class Dataset:
         return read_image(self.root / image.file_name, size=(image.width, image.height))
 
     def depth(self, image: Image) -> NDArray[np.float32] | None:
-        """(H, W) planar depth in metres, sky = +inf; 255.99 m means that or farther. None without a depth file."""
+        """(H, W) planar depth in metres, sky = +inf, 255.99 m for larger values; None without a depth file."""
         return read_depth(self.root / image.depth_file_name) if image.depth_file_name else None
 
 
 def open_dataset(root: Path) -> Dataset:
-    """Open a dataset folder, or raise a UserError that says what is missing."""
+    """Open a dataset folder; a UserError names what is missing."""
     if not root.is_dir():
         raise UserError(f"{root}: no such dataset folder; `skope gen --out {root}` makes one")
     if not (root / CARD_FILE).is_file():
@@ -175,7 +174,7 @@ def open_dataset(root: Path) -> Dataset:
 
 
 def read_card(root: Path) -> dict[str, Any]:
-    """The card of a dataset folder; a UserError names a field that is of another kind than `skope gen` writes."""
+    """Return the card of a dataset folder; a UserError names a field of the wrong type."""
     path = root / CARD_FILE
     card = read_json(path)
     try:
@@ -195,7 +194,7 @@ def read_card(root: Path) -> dict[str, Any]:
 
 
 def check_takes(path: Path, takes: Any) -> None:
-    """Raise a UserError unless `takes`, of the file at `path`, is a list of site, name, split and frames."""
+    """Raise a UserError unless `takes` in the file at `path` is a list of site, name, split and frames."""
     if not isinstance(takes, list):
         raise UserError(f"{path}: takes: expected a list, got {takes!r:.60}")
     for i, row in enumerate(takes):
@@ -206,7 +205,7 @@ def check_takes(path: Path, takes: Any) -> None:
 
 
 def read_manifest(root: Path) -> dict[str, dict[str, Any]]:
-    """The manifest of a dataset folder: "sha256" and "tallies", each by paths in the folder."""
+    """Return the manifest of a dataset folder: "sha256" and "tallies", each by paths in the folder."""
     path = root / MANIFEST_FILE
     manifest = read_json(path)
     parts = {}
@@ -221,14 +220,14 @@ def read_manifest(root: Path) -> dict[str, dict[str, Any]]:
 
 
 _JPEG_MARKER: Final = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])")
-"""Marker that ends the coded pixels of a scan: neither a stuffed byte nor a restart."""
+"""Marker that ends the coded pixels of a scan: neither a stuffed byte nor a restart marker."""
 _JPEG_END: Final = 0xD9
 _JPEG_ALONE: Final = (0x01, 0xD8)
-"""Markers that no length follows."""
+"""Markers without a length field."""
 
 
 def _jpeg_ends(data: bytes) -> bool:
-    """Whether the first picture in a JPEG file is whole, whatever cameras write behind it (previews, films, text)."""
+    """Return whether the first image in a JPEG file is complete; cameras may write previews, films or text after it."""
     if b"\xff\xd9" in data[-64:]:
         return True
     at = 2
@@ -246,7 +245,7 @@ def read_image(path: str | Path, size: tuple[int, int] | None = None) -> NDArray
     """Decode an image file.
 
     Args:
-        path: The file, also one inside a shard.
+        path: The file, or a member of a shard.
         size: Width and height that the image must have, pixels; None: any.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Choose images of an annotation file: what is validated on in place of learnt from, and few of many."""
+"""Select images of an annotation file: training and validation parts, and small samples."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -10,12 +10,12 @@ from skope.schema import AnnotationFile, Image, Labelled
 L = TypeVar("L", bound=Labelled)
 
 GAP_S: Final = 1.0
-"""Seconds left out between the frames of a recording that are learnt from and those that are validated on: a vehicle
-moves on by about its own length or more."""
+"""Gap between training and validation frames of a recording, seconds. A vehicle moves on by about its own length or
+more."""
 
 
 def part(file: AnnotationFile, images: Iterable[Image]) -> AnnotationFile:
-    """Some images of a file, with their annotations, in file order."""
+    """Return some images of a file, with their annotations, in file order."""
     wanted = {image.id for image in images}
     return replace(
         file,
@@ -26,7 +26,7 @@ def part(file: AnnotationFile, images: Iterable[Image]) -> AnnotationFile:
 
 
 def recordings(file: AnnotationFile) -> list[list[Image]]:
-    """The images of each recording, in the order of its frames."""
+    """Return the images of each recording, in the order of its frames."""
     groups: dict[tuple[str | None, str | None], list[Image]] = {}
     for image in file.images:
         groups.setdefault((image.site, image.recording), []).append(image)
@@ -38,23 +38,23 @@ def _frame_order(image: Image) -> tuple[bool, int]:
 
 
 def held_back(file: AnnotationFile, fraction: float) -> tuple[AnnotationFile, AnnotationFile]:
-    """Split a file into what is learnt from and what is validated on.
+    """Split a file into a training and a validation part.
 
-    From sites with several recordings whole recordings are held back, the last of them; from the others the last
-    frames, after a gap of `GAP_S` that is in neither part. Many a vehicle of a recording's last frames was there
-    before: see `ignoring`.
+    Of sites with several recordings, whole recordings are held back, starting with the last. Of other sites, the last
+    frames are held back, after a gap of `GAP_S` that is in neither part. Many vehicles in the last frames of a
+    recording also appear earlier; see `ignoring`.
 
     Args:
-        file: The images and annotations to learn from.
-        fraction: About which share of the frames, from 0 to 1, is validated on.
+        file: The images and annotations.
+        fraction: Approximate share of the frames for validation, from 0 to 1.
 
     Returns:
-        The part to learn from and the part to validate on.
+        The training part and the validation part.
     """
     sites: dict[tuple[str | None, str | None], list[list[Image]]] = {}
     for ordered in recordings(file):
         site, recording = ordered[0].site, ordered[0].recording
-        # Recordings of unknown sites need not be of one camera.
+        # Recordings of unknown sites may be from different cameras.
         sites.setdefault((site, recording if site is None else None), []).append(ordered)
     learnt: list[Image] = []
     validated: list[Image] = []
@@ -66,7 +66,7 @@ def held_back(file: AnnotationFile, fraction: float) -> tuple[AnnotationFile, An
             validated += last
             continue
         due += fraction * sum(map(len, of_site))
-        # Where a short recording holds back too little, another site holds back more.
+        # If a short recording holds back too little, another site holds back more.
         while len(of_site) > 1 and due >= len(of_site[-1]) / 2:
             due -= len(of_site[-1])
             validated += of_site.pop()
@@ -75,7 +75,7 @@ def held_back(file: AnnotationFile, fraction: float) -> tuple[AnnotationFile, An
 
 
 def ignoring(learnt: AnnotationFile, validated: AnnotationFile) -> AnnotationFile:
-    """`validated` with those ignored (`iscrowd` = 1) that `learnt` shows too, by recording and track."""
+    """Return `validated` with vehicles ignored (`iscrowd` = 1) that also appear in `learnt`, by recording and track."""
     return replace(
         validated,
         annotations=_ignoring(learnt, learnt.annotations, validated, validated.annotations),
@@ -86,7 +86,7 @@ def ignoring(learnt: AnnotationFile, validated: AnnotationFile) -> AnnotationFil
 def _ignoring(
     learnt: AnnotationFile, known: Sequence[Labelled], validated: AnnotationFile, labels: Sequence[L]
 ) -> tuple[L, ...]:
-    """Return `labels` of `validated`; those with the track of one of `known`, of `learnt`, are marked as ignored."""
+    """Return `labels` of `validated`; those whose track is in `known`, from `learnt`, are marked as ignored."""
     seen = {
         track for image, a in _with_images(learnt, known) if not a.ignored and (track := _track(image, a)) is not None
     }
@@ -100,26 +100,26 @@ def _with_images(file: AnnotationFile, labels: Iterable[L]) -> Iterator[tuple[Im
 
 
 def _track(image: Image, label: Labelled) -> tuple[str | None, str | None, int] | None:
-    """Site, recording and track of a road user; None where the file does not say which track it is."""
+    """Return site, recording and track of a road user; None if its track is not known."""
     return None if label.track_id is None else (image.site, image.recording, label.track_id)
 
 
 def last_frames(file: AnnotationFile, fraction: float) -> AnnotationFile:
-    """The last `fraction` (from 0 to 1) of each recording's frames, rounded to whole frames."""
+    """Return the last `fraction` (0 to 1) of each recording's frames, rounded to whole frames."""
     return part(file, (image for ordered in recordings(file) for image in _split(ordered, fraction)[1]))
 
 
 def _split(ordered: Sequence[Image], fraction: float) -> tuple[list[Image], list[Image]]:
-    """The frames of a recording before the gap, and its last `fraction`."""
-    first = len(ordered) - round(fraction * len(ordered))  # after the last one of a recording too short for it
+    """Return the frames of a recording before the gap, and its last `fraction`."""
+    first = len(ordered) - round(fraction * len(ordered))  # past the end for a recording that is too short
     before = [image for i, image in enumerate(ordered[:first]) if not _in_gap(image, i, ordered, first)]
     return before, [*ordered[first:]]
 
 
 def _in_gap(image: Image, i: int, ordered: Sequence[Image], first: int) -> bool:
-    """Whether frame `i` lies in the gap before the validated frame `first`: by their times.
+    """Return whether frame `i` is in the gap before the first validated frame `first`, by time.
 
-    Where a time is missing, the gap is one frame.
+    If a time is missing, the gap is one frame.
     """
     if first == len(ordered):
         return False
@@ -130,10 +130,12 @@ def _in_gap(image: Image, i: int, ordered: Sequence[Image], first: int) -> bool:
 
 
 def take(file: AnnotationFile, n: int) -> AnnotationFile:
-    """At most `n` images that have a ground-truth (not ignored) vehicle, evenly spread, with only their annotations.
+    """Return at most `n` images with a ground-truth (not ignored) vehicle, evenly spread, with their annotations.
 
-    Training and evaluation choose by the same rule, so that the same number means the same images. Raises UserError,
-    which names `--max-images`, where `n` is less than 1.
+    Training and evaluation use the same rule, so that the same number selects the same images.
+
+    Raises:
+        UserError: `n` is less than 1; the message names `--max-images`.
     """
     if n < 1:
         raise UserError(f"--max-images: expected a whole number from 1, got {n}")

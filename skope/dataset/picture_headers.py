@@ -1,7 +1,7 @@
-"""Size and orientation of pictures, from the first bytes of their files.
+"""Size and orientation of images, from the first bytes of their files.
 
-Cameras store a picture as the sensor lay and say in EXIF how to turn it. Whatever shows pictures, OpenCV included,
-turns them; programs that take the stored pixels put their labels elsewhere.
+Cameras store an image as the sensor was oriented and record the required rotation in EXIF. Viewers, including OpenCV,
+apply it. Programs that use the stored pixels place their labels differently.
 """
 
 import io
@@ -21,26 +21,26 @@ UPRIGHT_ORIENTATION: Final = 1
 
 @dataclass(frozen=True)
 class PictureHeader:
-    """Size of a picture, and its EXIF orientation."""
+    """Size of an image, and its EXIF orientation."""
 
     stored: tuple[int, int]
-    """Width and height of the pixels in the file."""
+    """Width and height of the stored pixels."""
     orientation: int
-    """1: shown as it is stored; 2 to 8 as EXIF counts them."""
+    """1 for an image that is shown as stored; 2 to 8 as in EXIF."""
 
     @property
     def turned(self) -> bool:
-        """Whether what is shown are other pixels than those stored."""
+        """Whether the shown pixels differ from the stored pixels."""
         return self.orientation != UPRIGHT_ORIENTATION
 
     @property
     def shown(self) -> tuple[int, int]:
-        """Width and height of the picture as shown."""
+        """Width and height of the image as shown."""
         width, height = self.stored
         return (height, width) if self.orientation >= 5 else (width, height)
 
     def shown_points(self, points: Array) -> Array:
-        """Places in the picture as shown of points (..., 2) of the stored one, pixels from its corner."""
+        """Convert points (..., 2) of the stored image to the image as shown, pixels from its corner."""
         width, height = self.stored
         x, y = points[..., 0], points[..., 1]
         left, up = width - x, height - y
@@ -51,20 +51,22 @@ class PictureHeader:
 
 
 def read_header(content: Path | bytes) -> PictureHeader | None:
-    """The header of a picture in a file or in memory; None where it is none that Pillow knows."""
+    """Return the header of an image in a file or in memory; None if Pillow does not recognise it."""
     try:
         with (
             warnings.catch_warnings(),
             Image.open(io.BytesIO(content) if isinstance(content, bytes) else content) as file,
         ):
-            warnings.simplefilter("ignore")  # of very large pictures and odd EXIF
+            warnings.simplefilter("ignore")  # about very large images and unusual EXIF
             size, kind = file.size, file.format
-            told = "exif" in file.info or kind == "TIFF"
-            orientation = file.getexif().get(ORIENTATION_TAG, UPRIGHT_ORIENTATION) if told else UPRIGHT_ORIENTATION
+            has_orientation = "exif" in file.info or kind == "TIFF"
+            orientation = (
+                file.getexif().get(ORIENTATION_TAG, UPRIGHT_ORIENTATION) if has_orientation else UPRIGHT_ORIENTATION
+            )
     except (OSError, SyntaxError, ValueError, UnidentifiedImageError, Image.DecompressionBombError):
         return None
     if not isinstance(orientation, int) or not 1 <= orientation <= 8:
         orientation = UPRIGHT_ORIENTATION
-    if kind == "TIFF" and orientation >= 5:  # of these alone Pillow gives the size as shown
+    if kind == "TIFF" and orientation >= 5:  # only for these, Pillow reports the size as shown
         size = (size[1], size[0])
     return PictureHeader(stored=size, orientation=orientation)

@@ -1,8 +1,8 @@
-"""Datasets of many frames as tar shards in the WebDataset convention: image, depth and one JSON of labels a frame.
+"""Datasets of many frames as tar shards in the WebDataset convention: image, depth and one JSON of labels per frame.
 
-`shards/<split>-<number>.tar` holds `<site>/<recording>_<frame>` with `.json` and the suffixes of image and depth file;
-beside it `<split>-<number>.json` says where in it each member lies, so that members are read one by one, in any order.
-A member is named like a file: `shards/train-000000.tar/t01_mill_corner/00_000000.jpg`.
+`shards/<split>-<number>.tar` contains `<site>/<recording>_<frame>` with `.json` and the suffixes of image and depth
+file. Beside it, `<split>-<number>.json` contains the position of each member, so that members can be read one by one in
+any order. The path of a member is like that of a file: `shards/train-000000.tar/t01_mill_corner/00_000000.jpg`.
 """
 
 import io
@@ -19,11 +19,11 @@ from skope.files.safe_names import is_relative
 
 SHARD_FOLDER: Final = "shards"
 KEPT_INDICES: Final = 4096
-"""Number of indices that are kept in memory."""
+"""Number of indices in memory."""
 
 
 def write_shard(path: Path, members: Iterable[tuple[str, bytes]]) -> None:
-    """Write a shard and its index, each atomically and the index last; equal members make equal bytes."""
+    """Write a shard and its index, each atomically and the index last; equal members give equal bytes."""
     index = {}
     with replacing(path) as temporary, tarfile.open(temporary, "w", format=tarfile.USTAR_FORMAT) as tar:
         for name, data in members:
@@ -36,13 +36,13 @@ def write_shard(path: Path, members: Iterable[tuple[str, bytes]]) -> None:
 
 
 def members_of(path: Path) -> tuple[str, ...]:
-    """Return the names of the members of a complete shard; empty while its index is not written."""
+    """Return the names of the members of a complete shard; empty before its index is written."""
     index = path.with_suffix(".json")
     return tuple(_index(index, True)) if index.is_file() else ()
 
 
 def split_member(path: Path) -> tuple[Path, str] | None:
-    """The shard and the member that a path like `shards/train-000000.tar/a/b.jpg` names; None for other paths."""
+    """Return the shard and the member of a path like `shards/train-000000.tar/a/b.jpg`; None for other paths."""
     parts = path.parts
     for k in range(len(parts) - 1, 0, -1):
         if parts[k - 1].endswith(".tar"):
@@ -51,14 +51,14 @@ def split_member(path: Path) -> tuple[Path, str] | None:
 
 
 def read(path: Path) -> bytes:
-    """A file's content, or that of a shard's member that is named like one."""
+    """Return the content of a file or, if the path is that of a member, of the member."""
     member = split_member(path)
     return read_member(*member) if member else read_bytes(path)
 
 
 def read_member(shard: Path, name: str) -> bytes:
-    """A member's bytes; a UserError names what is missing or broken."""
-    offset, size = _place(shard, name)
+    """Return a member's bytes; a UserError names what is missing or broken."""
+    offset, size = _byte_range(shard, name)
     try:
         with shard.open("rb") as file:
             file.seek(offset)
@@ -73,15 +73,15 @@ def read_member(shard: Path, name: str) -> bytes:
 
 
 def size(path: Path) -> int:
-    """Bytes of a file or of a member, without reading it; -1 for one that is not there."""
+    """Return the size of a file or member in bytes, without reading it; -1 if it does not exist."""
     try:
         member = split_member(path)
-        return _place(*member)[1] if member else path.stat().st_size
+        return _byte_range(*member)[1] if member else path.stat().st_size
     except (OSError, UserError):
         return -1
 
 
-def _place(shard: Path, name: str) -> tuple[int, int]:
+def _byte_range(shard: Path, name: str) -> tuple[int, int]:
     places = _index(shard.with_suffix(".json"), shard.with_suffix(".json").is_file())
     if name not in places:
         raise UserError(f"{shard}/{name}: no such file")
@@ -90,14 +90,14 @@ def _place(shard: Path, name: str) -> tuple[int, int]:
 
 
 @lru_cache(maxsize=KEPT_INDICES)
-def _index(path: Path, _there: bool) -> Mapping[str, tuple[int, int]]:
+def _index(path: Path, _exists: bool) -> Mapping[str, tuple[int, int]]:
     value = read_json(path)
     good = isinstance(value, dict) and all(
         is_relative(name)
-        and isinstance(place, list)
-        and len(place) == 2
-        and all(isinstance(n, int) and n >= 0 for n in place)
-        for name, place in value.items()
+        and isinstance(entry, list)
+        and len(entry) == 2
+        and all(isinstance(n, int) and n >= 0 for n in entry)
+        for name, entry in value.items()
     )
     if not good:
         raise UserError(f"{path}: not an index of a shard")
@@ -105,17 +105,17 @@ def _index(path: Path, _there: bool) -> Mapping[str, tuple[int, int]]:
 
 
 def shards_of(root: Path, split: str) -> list[Path]:
-    """A split's shards in their order."""
+    """Return the shards of a split in order."""
     return sorted((root / SHARD_FOLDER).glob(f"{split}-[0-9][0-9][0-9][0-9][0-9][0-9].tar"))
 
 
 def splits_of(root: Path) -> tuple[str, ...]:
-    """Splits that have shards, in alphabetical order."""
+    """Return the splits that have shards, in alphabetical order."""
     return tuple(sorted({path.name.rpartition("-")[0] for path in (root / SHARD_FOLDER).glob("[!.]*-*.tar")}))
 
 
 def labels_in(shard: Path) -> Iterator[dict[str, Any]]:
-    """The labels of a shard's frames: {"image": ..., "annotations": [...]}, in one go through the file."""
+    """Yield the labels of a shard's frames, {"image": ..., "annotations": [...]}, in one pass through the file."""
     names = sorted(_index(shard.with_suffix(".json"), True).items(), key=lambda item: item[1])
     for name, _ in names:
         if name.endswith(".json"):

@@ -1,1 +1,1 @@
-"""Files of users and files for them: read, written whole or not at all, names checked, output folders claimed."""
+"""Files: reading users' files, atomic writing, checked names, and output folders."""

@@ -1,4 +1,4 @@
-"""Read users' files, and write files and folders so that nothing half-written is ever taken for whole."""
+"""Read users' files, and write files and folders atomically, so that no partial file is mistaken for a complete one."""
 
 import contextlib
 import fcntl
@@ -14,12 +14,12 @@ from skope.errors import UserError
 
 
 def decoded(data: bytes) -> str:
-    """UTF-8 text, without the byte order mark that some editors put first; UnicodeDecodeError where it is none."""
+    """Return UTF-8 text without a byte order mark, which some editors add; raise UnicodeDecodeError for other text."""
     return data.decode("utf-8-sig")
 
 
 def read_text(path: Path) -> str:
-    """The text of a user's file in UTF-8; a UserError names a file that is missing or holds anything else."""
+    """Return the text of a user's file in UTF-8; a UserError names a file that is missing or has other content."""
     try:
         return decoded(read_bytes(path))
     except UnicodeDecodeError:
@@ -27,7 +27,7 @@ def read_text(path: Path) -> str:
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal; a UserError names one that cannot be read."""
+    """Return the SHA-256 of a file, in hexadecimal; a UserError names a file that cannot be read."""
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -52,27 +52,29 @@ LEFTOVER_NAME: Final = re.compile(r"\..*\.(\d+)\.part(?:\..*)?")
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; on success rename it into place, on failure remove it.
+    """Yield a temporary path beside `path`; on success rename it to `path`, on failure remove it.
 
-    The temporary name keeps the suffix, because encoders (OpenCV, numpy) choose the format by it. Raises UserError
-    where `path` cannot be written; an error that is of another file, or of a closed pipe, keeps its own name.
+    The temporary name keeps the suffix, because encoders (OpenCV, numpy) choose the format by it.
+
+    Raises:
+        UserError: `path` cannot be written. Errors of other files, or of a closed pipe, keep their own names.
     """
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
     try:
         with writing(path, temporary):
             path.parent.mkdir(parents=True, exist_ok=True)
-            temporary.unlink(missing_ok=True)  # a symbolic link would be written through
+            temporary.unlink(missing_ok=True)  # a symbolic link would be followed
             yield temporary
             temporary.replace(path)
     finally:
-        with contextlib.suppress(OSError):  # where a parent is a file, even looking for it fails
+        with contextlib.suppress(OSError):  # if a parent is a file, even the check fails
             temporary.unlink()
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove what a process that was killed while it wrote by `replacing` has left in a folder.
+    """Remove incomplete files of `replacing` that killed processes have left in a folder.
 
-    What a process that still lives is writing stays.
+    Files of processes that still run are kept.
     """
     for path in folder.glob(".*.part*"):
         found = LEFTOVER_NAME.fullmatch(path.name)
@@ -81,7 +83,7 @@ def remove_leftovers(folder: Path) -> None:
 
 
 def _lives(pid: int) -> bool:
-    """Whether there is such a process on this machine."""
+    """Return whether a process with this id exists on this machine."""
     try:
         with contextlib.suppress(PermissionError, OverflowError):
             os.kill(pid, 0)
@@ -92,10 +94,13 @@ def _lives(pid: int) -> bool:
 
 @contextlib.contextmanager
 def replacing_folder(path: Path, *, keep: bool = True) -> Iterator[Path]:
-    """Yield a temporary folder beside `path`; on success it takes its place, unless the same is there already.
+    """Yield a temporary folder beside `path`; on success it replaces `path`, unless that has the same content.
 
-    On failure, or without `keep`, it is removed. Raises UserError where `path` is a file, or holds anything else. Where
-    `path` is a link to a folder, that folder is replaced and the link stays.
+    On failure, or without `keep`, it is removed. If `path` is a link to a folder, that folder is replaced and the link
+    stays.
+
+    Raises:
+        UserError: `path` is a file, or has other content.
     """
     whole = path.resolve() if path.is_dir() else path.absolute()
     temporary = whole.with_name(f".{whole.name}.{os.getpid()}.part")
@@ -113,7 +118,7 @@ def replacing_folder(path: Path, *, keep: bool = True) -> Iterator[Path]:
                     f"{path}: holds other files than these; choose another folder, or move its content away"
                 )
             temporary.replace(whole)
-    except UserError as error:  # what could not be written has its name below `path` for the user
+    except UserError as error:  # messages name the file below `path`, not below the temporary folder
         raise UserError(str(error).replace(str(temporary), str(path))) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
@@ -131,59 +136,62 @@ def writing(path: Path, *parts: Path) -> Iterator[None]:
     except BrokenPipeError:
         raise
     except OSError as error:
-        own = {place.absolute() for place in (path, *parts)}
-        other = Path(os.fsdecode(error.filename)).absolute() if isinstance(error.filename, str | bytes) else None
-        if other is None or own & {other, *other.parents} or other in path.absolute().parents:
+        written_paths = {written.absolute() for written in (path, *parts)}
+        error_path = Path(os.fsdecode(error.filename)).absolute() if isinstance(error.filename, str | bytes) else None
+        if (
+            error_path is None
+            or written_paths & {error_path, *error_path.parents}
+            or error_path in path.absolute().parents
+        ):
             raise unwritable(path, error) from error
-        raise UserError(f"{other}: {error.strerror or error}") from error
+        raise UserError(f"{error_path}: {error.strerror or error}") from error
 
 
 def unwritable(path: Path, error: OSError) -> UserError:
-    """The error to raise where the file or folder `path` cannot be written; says which file stands in a folder's
-    place."""
+    """Return the error for a file or folder `path` that cannot be written; it names a file in place of a folder."""
     misplaced = isinstance(error, FileExistsError | NotADirectoryError)
     file = file_in_place_of(path) if misplaced else None
     return UserError(f"{path}: cannot be written: {f'{file} is a file' if file else error.strerror or error}")
 
 
 def file_in_place_of(folder: Path) -> Path | None:
-    """The file that stands where `folder`, or a folder above it, should be; None where nothing does."""
+    """Return the file that is in place of `folder` or of a folder above it; None if there is none."""
     for path in (folder, *folder.parents):
-        with contextlib.suppress(OSError):  # a folder that may not be looked into
+        with contextlib.suppress(OSError):  # a folder without read permission
             if path.exists() and not path.is_dir():
                 return path
     return None
 
 
-def same_content(one: Path, other: Path) -> bool:
-    """Whether two files have the same bytes, or two folders the same files and folders with the same bytes."""
-    if one.is_file() and other.is_file():
-        same_size = one.stat().st_size == other.stat().st_size
-        return one.samefile(other) or (same_size and sha256_of(one) == sha256_of(other))
-    if not (one.is_dir() and other.is_dir()):
+def same_content(first: Path, second: Path) -> bool:
+    """Return whether two files have the same bytes, or two folders the same names with the same bytes."""
+    if first.is_file() and second.is_file():
+        same_size = first.stat().st_size == second.stat().st_size
+        return first.samefile(second) or (same_size and sha256_of(first) == sha256_of(second))
+    if not (first.is_dir() and second.is_dir()):
         return False
-    names = {path.name for path in one.iterdir()}
-    return names == {path.name for path in other.iterdir()} and all(
-        same_content(one / name, other / name) for name in names
+    names = {path.name for path in first.iterdir()}
+    return names == {path.name for path in second.iterdir()} and all(
+        same_content(first / name, second / name) for name in names
     )
 
 
 def hold_lock(path: Path, *, wait: bool = False) -> IO[bytes]:
-    """Open a file and hold its lock until the file is closed or the process ends, however it ends.
+    """Open a file and hold its lock until the file is closed or the process ends in any way.
 
-    A process may remove the file that it held. Another one that waited then holds a file without a name, and a third
-    one could hold a new file of this name. Such a file is opened again.
+    A process may remove the file that it has locked. Another process that waited then holds a file without a name, and
+    a third could lock a new file of that name. In this case the file is opened again.
 
     Args:
-        path: The file; it is made where it is missing, and keeps its content where it is there.
+        path: The file; it is created if missing and keeps its content otherwise.
         wait: Whether to wait for a process that holds the lock.
 
     Returns:
-        The file, open for reading from its begin and for appending.
+        The file, open for reading from its start and for appending.
 
     Raises:
         BlockingIOError: Another process holds the lock, and `wait` is false.
-        OSError: The file cannot be opened (as where it is a symbolic link), or its file system has no locks.
+        OSError: The file cannot be opened (for example because it is a symbolic link), or its file system has no locks.
     """
     while True:
         file = os.fdopen(os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW, 0o666), "a+b")
@@ -217,9 +225,9 @@ def locked(path: Path, busy: str) -> Iterator[None]:
 
 
 def no_links_out(root: Path) -> None:
-    """Raise a UserError where a folder below `root` is a symbolic link to elsewhere: what is written would land there.
+    """Raise a UserError if a folder below `root` is a symbolic link to another place, where files would be written.
 
-    Links to files are no danger: files are replaced and removed by their names.
+    Links to files are harmless, because files are replaced and removed by name.
     """
     whole = root.resolve()
     for folder, below, _ in os.walk(root):
@@ -229,10 +237,13 @@ def no_links_out(root: Path) -> None:
 
 
 def link(source: Path, target: Path) -> None:
-    """Make `target` the same file as `source`, or a copy of it where the file system cannot link.
+    """Make `target` a hard link to `source`, or a copy if the file system does not support links.
 
-    Where `source` is a symbolic link, `target` becomes the file that it leads to: the link itself may lead nowhere from
-    there. Raises UserError where `source` is not there, or another file at `target`.
+    If `source` is a symbolic link, `target` becomes the file that it refers to, because the link may not be valid
+    there.
+
+    Raises:
+        UserError: `source` does not exist, or another file exists at `target`.
     """
     if os.path.lexists(target):
         if same_content(source, target):

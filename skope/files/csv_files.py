@@ -1,8 +1,8 @@
-"""CSV files that people open in a spreadsheet: the one writer, and the reader that restores their text.
+"""CSV files for spreadsheets: the only writer, and a reader that restores the text.
 
 A spreadsheet runs a cell that begins with =, +, -, @, a tab or a line break as a formula, and a name in a site file can
-begin so. The writer puts an apostrophe before such text (OWASP, "CSV Injection"). Numbers are not text and stay as they
-are, also negative ones.
+begin like that. The writer puts an apostrophe before such text (OWASP, "CSV Injection"). Numbers are not text and stay
+unchanged, including negative ones.
 """
 
 import csv
@@ -18,9 +18,10 @@ from skope.errors import UserError
 from skope.files.atomic import read_text, replacing
 
 FORMULA_START: Final = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
-"""Start of a text that a spreadsheet may execute. Apostrophes before it count too, or reading would drop them; the
-last four are =, +, - and @ in full width.
-"""
+"""Start of a text that a spreadsheet may execute.
+
+Texts with apostrophes before it are included, because reading would otherwise drop these. The last four characters are
+full-width =, +, - and @."""
 
 
 def write_csv(
@@ -36,8 +37,8 @@ def write_csv(
     Args:
         path: The file.
         columns: Names of the columns.
-        rows: Cells of each row: text, numbers, times. None and numbers that are not finite are empty cells.
-        digits: Number of decimals of floats. Default: as many as they have.
+        rows: Cells of each row: text, numbers, times. None and non-finite numbers become empty cells.
+        digits: Number of decimals of floats. Default: all of them.
         byte_order_mark: Whether the file begins with a byte order mark, which makes Excel read it as UTF-8. Useful for
             files that people open; omit it in files that programs read.
 
@@ -46,7 +47,7 @@ def write_csv(
     """
     encoding = "utf-8-sig" if byte_order_mark else "utf-8"
     with replacing(path) as temporary, temporary.open("w", encoding=encoding, newline="") as file:
-        # With this line terminator, csv puts a carriage return within a text in quotes.
+        # With this line terminator, csv quotes text with a carriage return.
         writer = csv.writer(_UnixLines(file), lineterminator="\r\n")
         writer.writerow(columns)
         writer.writerows([_cell(value, digits) for value in row] for row in rows)
@@ -75,14 +76,14 @@ def _cell(value: Any, digits: int | None) -> str:
 
 
 def read_csv(path: Path) -> tuple[list[str], list[dict[str | None, Any]]]:
-    """Read a table, from `write_csv` or of a user's own, with or without a byte order mark.
+    """Read a table from `write_csv` or from a user, with or without a byte order mark.
 
     Args:
         path: The file.
 
     Returns:
-        The names of the columns, and the cells of each row by column. As with `csv.DictReader`, a cell that is missing
-        is None, and what goes beyond the columns is a list under None.
+        The names of the columns, and the cells of each row by column. As with `csv.DictReader`, a missing cell is None,
+        and cells beyond the columns are a list under None.
 
     Raises:
         UserError: The file cannot be read; the message names it.
@@ -96,5 +97,5 @@ def read_csv(path: Path) -> tuple[list[str], list[dict[str | None, Any]]]:
 
 
 def _text(cell: Any) -> Any:
-    """The text of a cell without the apostrophe that `write_csv` put before it."""
+    """Return the text of a cell without the apostrophe of `write_csv`."""
     return cell[1:] if isinstance(cell, str) and cell.startswith("'") and FORMULA_START.match(cell) else cell

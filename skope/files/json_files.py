@@ -1,4 +1,4 @@
-"""JSON as text and in files: strict when it is written, tolerant of byte order marks when it is read."""
+"""JSON as text and in files: strict when writing, tolerant of byte order marks when reading."""
 
 import codecs
 import contextlib
@@ -11,21 +11,23 @@ from skope.files.atomic import write_text
 
 
 def json_bytes(value: Any) -> bytes:
-    """Compact JSON; NaN and infinities are a ValueError as JSON has none."""
+    """Return compact JSON; NaN and infinities raise ValueError, because JSON does not have them."""
     import orjson
 
-    with contextlib.suppress(TypeError):  # text that is not Unicode, as names of files may be; more than 64 bits
+    with contextlib.suppress(TypeError):  # text that is not Unicode, such as some file names; more than 64 bits
         data = orjson.dumps(value)
-        # What orjson makes of NaN, too: read again, that is another value.
+        # orjson also writes null for NaN, which reads back as another value.
         if b"null" not in data or orjson.loads(data) == value:
             return data
     return json.dumps(value, allow_nan=False, separators=(",", ":")).encode()
 
 
 def parse_json(data: bytes) -> Any:
-    """The value of JSON text in UTF-8, with or without a byte order mark, or in UTF-16 or 32.
+    """Return the value of JSON text in UTF-8 (with or without a byte order mark), UTF-16 or UTF-32.
 
-    Raises json.JSONDecodeError or UnicodeDecodeError where it is none.
+    Raises:
+        json.JSONDecodeError: It is not JSON.
+        UnicodeDecodeError: It is not in one of these encodings.
     """
     import orjson
 
@@ -41,7 +43,7 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Parse a JSON file; a missing or malformed one is a UserError that names it."""
+    """Read a JSON file; a UserError names a missing or malformed file."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:
@@ -59,15 +61,15 @@ def read_json(path: Path) -> Any:
 
 
 def check_version(path: Path, found: Any, expected: int) -> None:
-    """Refuse a file of another version.
+    """Reject a file of another version.
 
     Args:
         path: The file.
-        found: The version that stands in it.
-        expected: The version that is read here.
+        found: Version in the file.
+        expected: Supported version.
 
     Raises:
-        UserError: They differ, or what was found is no whole number.
+        UserError: They differ, or `found` is not a whole number.
     """
     if type(found) is not int or found != expected:
         raise UserError(f"{path}: version: expected {expected}, got {found!r:.60}")

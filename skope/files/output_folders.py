@@ -24,7 +24,7 @@ from skope.version import __version__
 
 WORK_FILE: Final = "work.json"
 FOLDER_ADVICE: Final = "choose another folder, or move its content away"
-_OTHER_FILE: Final = "exists with other content; choose another file or move it away"
+_CONTENT_DIFFERS: Final = "exists with other content; choose another file or move it away"
 
 
 def claim_output(folder: Path, command: str, inputs: Iterable[Path], options: Mapping[str, Any]) -> dict[str, Any]:
@@ -147,7 +147,7 @@ def write_new(path: Path, data: bytes) -> None:
         return
     check_file(path)
     if path.read_bytes() != data:
-        raise UserError(f"{path}: {_OTHER_FILE}")
+        raise UserError(f"{path}: {_CONTENT_DIFFERS}")
 
 
 def check_file(path: Path, begins: Callable[[bytes], bool] = lambda _: True) -> None:
@@ -155,8 +155,8 @@ def check_file(path: Path, begins: Callable[[bytes], bool] = lambda _: True) -> 
 
     `begins` returns whether the first bytes of an existing file (at most 16) fit the content to be written.
     """
-    if file_there := file_in_place_of(path.parent):
-        raise UserError(f"{path}: cannot be written: {file_there} is a file")
+    if blocking_file := file_in_place_of(path.parent):
+        raise UserError(f"{path}: cannot be written: {blocking_file} is a file")
     if not os.path.lexists(path):
         return
     if path.is_dir():
@@ -165,7 +165,7 @@ def check_file(path: Path, begins: Callable[[bytes], bool] = lambda _: True) -> 
         raise UserError(f"{path}: exists and is not a regular file; choose another file")
     with path.open("rb") as file:
         if not begins(file.read(16)):
-            raise UserError(f"{path}: {_OTHER_FILE}")
+            raise UserError(f"{path}: {_CONTENT_DIFFERS}")
 
 
 def move_new(source: Path, target: Path) -> None:
@@ -173,7 +173,7 @@ def move_new(source: Path, target: Path) -> None:
     if not target.exists():
         source.replace(target)
     elif not same_content(source, target):
-        raise UserError(f"{target}: {_OTHER_FILE}")
+        raise UserError(f"{target}: {_CONTENT_DIFFERS}")
 
 
 def _recorded_work(folder: Path, flag: str) -> Any:

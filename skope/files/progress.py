@@ -11,17 +11,19 @@ from skope.files.json_files import json_bytes, parse_json
 
 
 class Progress:
-    """Rows (JSON objects) of a run in a file that is there only until the run is done.
+    """Rows (JSON objects) of a run in a file that exists only until the run is done.
 
-    The file belongs to the work that its folder was claimed for: what is in it counts. Raises UserError where it
-    cannot be written, and where another run is writing it.
+    The file belongs to the run that the folder was claimed for, so its content is valid.
+
+    Raises:
+        UserError: The file cannot be written, or another run is writing it.
     """
 
     def __init__(self, path: Path, fields: tuple[str, ...]) -> None:
         self._path = path
         self._fields = set(fields)
         self.count = 0
-        """Number of rows that an earlier run left behind: objects with these `fields`, up to the first damaged one."""
+        """Number of rows from an earlier run: objects with these `fields`, up to the first damaged one."""
         whole = 0
         with writing(self._path.parent):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -34,7 +36,7 @@ class Progress:
             self._file.truncate(whole)
 
     def _locked(self) -> IO[bytes]:
-        """The file, held until it is closed or the process ends."""
+        """Open and lock the file until it is closed or the process ends."""
         try:
             return hold_lock(self._path)
         except BlockingIOError:
@@ -48,7 +50,7 @@ class Progress:
         return row if isinstance(row, dict) and set(row) == self._fields else None
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """Yield all rows so far from the file; those of an hour of footage do not fit into memory."""
+        """Yield all rows so far from the file, because those of an hour of footage do not fit into memory."""
         with self._path.open("rb") as file:
             for row in itertools.takewhile(lambda row: row is not None, map(self._row, file)):
                 assert row is not None
@@ -61,6 +63,6 @@ class Progress:
             self._file.flush()
 
     def end(self) -> None:
-        """The run is done: its files say what was found."""
+        """Remove the file, because the run is complete."""
         self._path.unlink()
         self._file.close()

@@ -18,17 +18,17 @@ class NameLimits:
     """Limits of names and paths."""
 
     name_bytes: int = 100
-    """Bytes of the longest name: two names and a suffix fit into a file's name."""
+    """Maximum length of a name, bytes: two names and a suffix fit into a file name."""
     part_bytes: int = 255
-    """Bytes of the longest file name."""
+    """Maximum length of a file name, bytes."""
     path_bytes: int = 2000
-    """Bytes of the longest path."""
+    """Maximum length of a path, bytes."""
 
 
 NAME_LIMITS: Final = NameLimits()
 
 UNSAFE_NAME: Final = re.compile(r"\A\.{0,2}\Z|\A[A-Za-z]:|[\x00-\x1f\x7f-\x9f\u2028\u2029/\\]")
-"""Nothing, a folder itself or its parent, a drive; control characters, line ends and separators."""
+"""Rejected names: empty text, a folder itself or its parent, a drive; control characters, line ends and separators."""
 
 
 def name(field: str, value: Any) -> str:
@@ -45,14 +45,14 @@ def name(field: str, value: Any) -> str:
 
 
 def relative(field: str, value: Any) -> str:
-    """Return `value` when it is a path inside a dataset folder, or raise a UserError that names the field."""
+    """Return `value` if it is a path inside a dataset folder; raise a UserError that names the field otherwise."""
     if not is_relative(value):
         raise UserError(f"{field}: expected a path inside the dataset folder, got {_short(value)}")
     return str(value)
 
 
 def is_relative(value: Any) -> bool:
-    """Whether `value` is a path with forward slashes that stays inside whatever folder it is relative to."""
+    """Return whether `value` is a path with forward slashes that stays inside the folder it is relative to."""
     if not isinstance(value, str) or len(value) > NAME_LIMITS.path_bytes:
         return False
     parts = PurePosixPath(value).parts
@@ -60,19 +60,19 @@ def is_relative(value: Any) -> bool:
 
 
 def counting_order(path: Path | str) -> list[str | int]:
-    """Key that sorts paths with the numbers in them as numbers: 2.jpg before 10.jpg."""
+    """Return a key that sorts paths with their numbers in numerical order: 2.jpg before 10.jpg."""
     text = path.as_posix() if isinstance(path, Path) else path
     words = re.split(r"([0-9]+)", text)
     return [int(word) if i % 2 else word for i, word in enumerate(words)] + [text]
 
 
 def for_opencv(path: Path | str) -> str:
-    """A path as OpenCV takes it; a UserError where it is not UTF-8, at which OpenCV ends the process."""
+    """Return a path for OpenCV; a UserError if it is not UTF-8, because OpenCV would end the process."""
     return _in_utf8(path, "OpenCV")
 
 
 def for_ffmpeg(path: Path | str) -> str:
-    """A path as FFmpeg takes it; a UserError where it is not UTF-8."""
+    """Return a path for FFmpeg; a UserError if it is not UTF-8."""
     return _in_utf8(path, "FFmpeg")
 
 
@@ -88,7 +88,7 @@ def _is_part(text: str, most: int) -> bool:
     """Return whether text can be one component of a path with at most this many bytes."""
     try:
         return not UNSAFE_NAME.search(text) and len(os.fsencode(text)) <= most
-    except UnicodeEncodeError:  # half a character, which no file system can hold
+    except UnicodeEncodeError:  # a lone surrogate, which no file system can store
         return False
 
 
