@@ -1,6 +1,6 @@
-"""Synthetic roadside images with 33 keypoints per vehicle, the detector that learns from them, and its measurement.
+"""Synthetic roadside images with 33 keypoints per vehicle, a detector trained on them, and measurements with it.
 
-The names below are all that most programs need; each is loaded when it is first used.
+The names below are sufficient for most programs; each is loaded on first use.
 """
 
 from importlib import import_module

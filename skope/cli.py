@@ -1,4 +1,4 @@
-"""The command line: mounts the three groups and turns users' errors into one line and exit code 2."""
+"""Command line: mounts the three groups, and turns users' errors into one line and exit code 2."""
 
 import sys
 import warnings
@@ -15,7 +15,7 @@ from skope.train.cli import app as train_app
 
 
 class _Root(CommandGroup):
-    """The `skope` command itself, which says that it was stopped: typer would end without a word."""
+    """The `skope` command itself; it reports an interrupt, at which typer would end silently."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -34,7 +34,7 @@ HELP_TEXT: Final = "\n\n".join(
         "and gates in the browser.",
     )
 )
-"""Text above the commands: what the package is for, and which commands follow each other."""
+"""Text above the commands: purpose of the package, and order of the commands."""
 
 app = Commands(
     cls=_Root,
@@ -71,7 +71,7 @@ def _show_warning(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Print a warning; what is assumed of a user's file, without a place in the program."""
+    """Print a warning on one line, without the position in the program."""
     if issubclass(category, AssumptionWarning):
         Console().warn(str(message))
     else:

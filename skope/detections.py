@@ -18,25 +18,25 @@ from skope.schema import AnyResult, Result, RoadUserResult
 from skope.types import Pixels
 
 Chosen: TypeAlias = int | slice | Sequence[int] | Sequence[bool] | NDArray[np.bool_] | NDArray[np.integer]
-"""Rows that are chosen: a number, a slice, numbers in their new order, or whether each row is."""
+"""Selection of rows: a number, a slice, indices, or a mask."""
 
 
 @dataclass(frozen=True)
 class RoadUserDetections:
-    """People on foot and on two wheels found in one image, best score first; they have no keypoints."""
+    """Pedestrians and two-wheelers found in one image, best score first; they have no keypoints."""
 
     boxes_xyxy: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))
     """(M, 4) pixels of the original image."""
     scores: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    """(M,) confidence that this is one of its category, 0 to 1."""
+    """(M,) confidence that the category is right, 0 to 1."""
     categories: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    """(M,) ids of their categories, 2 to 4, see `schema.CATEGORY_NAMES`."""
+    """(M,) category ids, 2 to 4, see `schema.CATEGORY_NAMES`."""
 
     def __len__(self) -> int:
         return len(self.scores)
 
     def of(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Self:
-        """Some of them: (M,) whether each is chosen, or the numbers of those that are, in their new order."""
+        """Return some of them, selected by a mask (M,) or by indices in the new order."""
         return replace(
             self, boxes_xyxy=self.boxes_xyxy[chosen], scores=self.scores[chosen], categories=self.categories[chosen]
         )
@@ -48,7 +48,7 @@ class RoadUserDetections:
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def to_results(self, image_id: int) -> list[RoadUserResult]:
-        """The detections as COCO results of image `image_id`."""
+        """Return the detections as COCO results of image `image_id`."""
         rows = zip(boxes.xyxy_to_xywh(self.boxes_xyxy), self.scores, self.categories.tolist(), strict=True)
         return [
             RoadUserResult(image_id=image_id, bbox=box, score=float(score), category_id=category)
@@ -74,19 +74,20 @@ class Detections:
     scheme: Scheme = SKOPE33
     """Scheme of the keypoints."""
     road_users: RoadUserDetections = field(default_factory=RoadUserDetections)
-    """Other road users, found by a detector that has learnt their categories; no vehicles."""
+    """Other road users than vehicles, from a detector that has learnt their categories."""
     numbers: NDArray[np.int64] | None = None
-    """(N,) number of the vehicle, which the frames of its video share; -1 where not known. None: of a single image."""
+    """(N,) number of the vehicle, shared by the frames of its video; -1 if not known. None for a single image."""
     interpolated: NDArray[np.bool_] | None = None
-    """(N,) whether it was followed from other frames of its video. None: of a single image, where all were found."""
+    """(N,) whether it was tracked from other frames of its video. None for a single image, in which all were
+    detected."""
 
     def __len__(self) -> int:
         return len(self.scores)
 
     def __getitem__(self, chosen: Chosen) -> Self:
-        """Some of the vehicles, as detections again: `found[0]`, `found[:5]`, `found[found.scores > 0.8]`.
+        """Return some of the vehicles as detections: `found[0]`, `found[:5]`, `found[found.scores > 0.8]`.
 
-        The other road users of the image stay.
+        The other road users of the image are kept.
         """
         rows = np.array([chosen]) if isinstance(chosen, int | np.integer) else chosen
         if not isinstance(rows, slice):
@@ -99,12 +100,12 @@ class Detections:
         return replace(self, **{name: values[rows] for name, values in given.items()})
 
     def __iter__(self) -> Iterator[Self]:
-        """One vehicle after the other, each as detections of one, without the other road users."""
+        """Yield the vehicles one by one, each as detections without other road users."""
         alone = replace(self, road_users=RoadUserDetections())
         return (alone[i] for i in range(len(self)))
 
     def above(self, score: float) -> Self:
-        """The detections that score higher than `score`, which is from 0 to 1."""
+        """Return the detections with a score above `score`, which is from 0 to 1."""
         return replace(self[self.scores > score], road_users=self.road_users.of(self.road_users.scores > score))
 
     def draw(self, image: Pixels, *, scale: int = 1) -> Pixels:
@@ -127,7 +128,7 @@ class Detections:
         return draw.results(image, self.to_results(1), self.road_users.to_results(1), scale=scale, scheme=self.scheme)
 
     def save(self, path: str | Path, *, image_id: int = 1) -> None:
-        """Write vehicles and other road users as COCO results, in one step.
+        """Write vehicles and other road users as COCO results, atomically.
 
         Args:
             path: The .json file.
@@ -141,60 +142,62 @@ class Detections:
         coco.write_results(Path(path), self.all_results(image_id))
 
     def to_results(self, image_id: int) -> list[Result]:
-        """The vehicles as COCO results of image `image_id`, for `skope.dataset.coco` and `skope.score`."""
+        """Return the vehicles as COCO results of image `image_id`, for `skope.dataset.coco` and `skope.score`."""
         made = results_of(image_id, self.boxes_xyxy, self.scores, self.keypoints)
         if self.numbers is not None:
             numbers = self.numbers.tolist()
-            made = [replace(one, track_id=n if n >= 0 else None) for one, n in zip(made, numbers, strict=True)]
+            made = [replace(result, track_id=n if n >= 0 else None) for result, n in zip(made, numbers, strict=True)]
         if self.interpolated is not None:
             followed = self.interpolated.tolist()
-            made = [replace(one, interpolated=yes) for one, yes in zip(made, followed, strict=True)]
+            made = [replace(result, interpolated=yes) for result, yes in zip(made, followed, strict=True)]
         return made
 
     def all_results(self, image_id: int) -> list[AnyResult]:
-        """Vehicles, then other road users, as COCO results of image `image_id`, for `skope.dataset.coco`."""
+        """Return vehicles, then other road users, as COCO results of image `image_id`, for `skope.dataset.coco`."""
         return [*self.to_results(image_id), *self.road_users.to_results(image_id)]
 
 
 def detections_of_results(found: Iterable[AnyResult], size: tuple[int, int], scheme: Scheme = SKOPE33) -> Detections:
-    """The results of one frame of a video as `Detections`.
+    """Return the results of one frame of a video as `Detections`.
 
     Args:
         found: Vehicles and other road users, best first.
         size: Width and height of the image, pixels.
-        scheme: What the keypoints are.
+        scheme: Scheme of the keypoints.
     """
-    vehicles, others = apart(found)
+    vehicles, road_users = apart(found)
     return Detections(
-        boxes_xyxy=boxes.xywh_to_xyxy(np.array([one.bbox for one in vehicles]).reshape(-1, 4)),
-        scores=np.array([one.score for one in vehicles], dtype=np.float64),
-        keypoints=np.array([one.keypoints for one in vehicles]).reshape(-1, keypoints.K, 3),
+        boxes_xyxy=boxes.xywh_to_xyxy(np.array([vehicle.bbox for vehicle in vehicles]).reshape(-1, 4)),
+        scores=np.array([vehicle.score for vehicle in vehicles], dtype=np.float64),
+        keypoints=np.array([vehicle.keypoints for vehicle in vehicles]).reshape(-1, keypoints.K, 3),
         size=size,
         scheme=scheme,
         road_users=RoadUserDetections(
-            boxes.xywh_to_xyxy(np.array([one.bbox for one in others]).reshape(-1, 4)),
-            np.array([one.score for one in others], dtype=np.float64),
-            np.array([one.category_id for one in others], dtype=np.int64),
+            boxes.xywh_to_xyxy(np.array([user.bbox for user in road_users]).reshape(-1, 4)),
+            np.array([user.score for user in road_users], dtype=np.float64),
+            np.array([user.category_id for user in road_users], dtype=np.int64),
         ),
-        numbers=np.array([-1 if one.track_id is None else one.track_id for one in vehicles], dtype=np.int64),
-        interpolated=np.array([one.interpolated for one in vehicles], dtype=bool),
+        numbers=np.array(
+            [-1 if vehicle.track_id is None else vehicle.track_id for vehicle in vehicles], dtype=np.int64
+        ),
+        interpolated=np.array([vehicle.interpolated for vehicle in vehicles], dtype=bool),
     )
 
 
 def apart(found: Iterable[AnyResult]) -> tuple[list[Result], list[RoadUserResult]]:
-    """The vehicles among results, and the other road users, in their order."""
+    """Return the vehicles among results, and the other road users, in their order."""
     vehicles: list[Result] = []
     road_users: list[RoadUserResult] = []
-    for one in found:
-        if isinstance(one, Result):
-            vehicles.append(one)
+    for result in found:
+        if isinstance(result, Result):
+            vehicles.append(result)
         else:
-            road_users.append(one)
+            road_users.append(result)
     return vehicles, road_users
 
 
 def results_of(image_id: int, boxes_xyxy: ArrayLike, scores: ArrayLike, points: ArrayLike) -> list[Result]:
-    """Make COCO results of the vehicles found in an image.
+    """Return COCO results of the vehicles found in an image.
 
     Args:
         image_id: Id of the image.

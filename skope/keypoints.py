@@ -1,7 +1,7 @@
 """The 33 keypoints of scheme `skope33`: names, flip partners, skeleton, sigmas, colours, maps to other schemes.
 
-`NAMES` is the only place where the order stands; every index below is derived from names. `SCHEMES` are the schemes
-that a dataset, and a detector trained on it, can have: ours, and that of the published SKoPe3D files.
+`NAMES` is the only definition of the order; every index below is derived from names. `SCHEMES` are the schemes that a
+dataset, and a detector trained on it, can have: that of skope, and that of the published SKoPe3D files.
 """
 
 import itertools
@@ -30,10 +30,9 @@ NAMES: Final[tuple[str, ...]] = (
 )  # fmt: skip
 """Names in file order; right and left are the vehicle's own.
 
-The roof's front ones are where the windscreen meets the roof, the rear ones on the roof's rounded rear edge.
-A bus has a strip of its body above them: there they are the upper corners of the windscreen's frame and of the rear
-window, 0.3 and 0.5 m below the top.
-"""
+The front roof points are where the windscreen meets the roof; the rear ones are on the roof's rounded rear edge. A bus
+has a strip of its body above them: there they are the upper corners of the windscreen's frame and of the rear window,
+0.3 and 0.5 m below the top."""
 
 K: Final = len(NAMES)
 INDEX: Final = {name: i for i, name in enumerate(NAMES)}
@@ -71,7 +70,7 @@ def _at_other_end(name: str) -> str:
 
 
 OTHER_END: Final = tuple(INDEX[_at_other_end(name)] for name in NAMES)
-"""`OTHER_END[i]` is the keypoint that `i` becomes when front and rear are taken for each other (a permutation).
+"""`OTHER_END[i]` is the keypoint that `i` becomes if front and rear are exchanged (a permutation).
 
 Mirrors, beltline and logo have no counterpart: they stay."""
 
@@ -132,20 +131,20 @@ _GROUP_COLORS: Final = {
     "beltline": (160, 160, 255),
     "front_logo": (255, 64, 64),
 }
-"""sRGB by part, after Okabe and Ito's palette which colour-blind readers can distinguish."""
+"""sRGB by part, after the palette of Okabe and Ito, which colour-blind readers can distinguish."""
 
 COLORS: Final = tuple(next(c for part, c in _GROUP_COLORS.items() if name.startswith(part)) for name in NAMES)
 
 Map = dict[int, int]
-"""Foreign index -> index in `NAMES`, for the points that mean the same thing in both schemes."""
+"""Foreign index to index in `NAMES`, for the points that have the same meaning in both schemes."""
 
 
 def _foreign(*names: str | None) -> Map:
     return {i: INDEX[name] for i, name in enumerate(names) if name is not None}
 
 
-# A foreign lamp that is one point (its middle, or one unnamed corner) has no counterpart among our outer and inner
-# points and is left out, as are exhausts, plates and centres.
+# A foreign lamp that is one point (its centre, or one unnamed corner) has no counterpart among our outer and inner
+# points and is omitted, as are exhausts, plates and centres.
 APOLLO24: Final = _foreign(
     "roof_front_right", "roof_front_left", None, None, "bumper_front_right", "bumper_front_left",
     None, "wheel_front_left", "wheel_rear_left", None, "roof_rear_left", "roof_rear_right",
@@ -169,7 +168,7 @@ VERI20: Final = _foreign(
 """VeRi-776's 20 points (Wang et al. 2017)."""
 
 SKOPE3D: Final = _foreign(*NAMES[:4], *(None,) * 28, NAMES[32])
-"""The published SKoPe3D files: only the roof corners and the logo; their users disagree on the order of the wheels."""
+"""The published SKoPe3D files: only the roof corners and the logo. Users disagree on the order of the wheels."""
 
 FOREIGN_SCHEMES: Final[dict[str, Map]] = {
     "apollo24": APOLLO24,
@@ -179,25 +178,25 @@ FOREIGN_SCHEMES: Final[dict[str, Map]] = {
 }
 
 FOREIGN_K: Final[dict[str, int]] = {"apollo24": 24, "carfusion14": 14, "veri20": 20, "skope3d": 33}
-"""Number of each scheme's keypoints, those without a counterpart too."""
+"""Number of each scheme's keypoints, including those without a counterpart."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scheme:
-    """A keypoint scheme: what the K keypoints of a dataset or detector are."""
+    """Keypoint scheme: the meaning of the K keypoints of a dataset or detector."""
 
     name: str
     names: tuple[str, ...]
     flip: tuple[int, ...] | None
-    """(K,) index of each keypoint's mirror partner, as `FLIP`; None where they are not known, so that images cannot be
-    mirrored."""
+    """(K,) index of each keypoint's mirror partner, as in `FLIP`; None if the partners are not known, so that images
+    cannot be mirrored."""
     skeleton: tuple[tuple[int, int], ...]
     """Pairs of 0-based indices."""
     sigmas: tuple[float, ...]
     colors: tuple[tuple[int, int, int], ...]
 
     def fields(self, name_field: str = "keypoint_scheme") -> dict[str, Any]:
-        """Fields of files that name it, as `scheme_in` reads them."""
+        """Fields of files that identify the scheme, as `scheme_in` reads them."""
         return {name_field: self.name} | ({"keypoint_edition": EDITION} if self.name == SCHEME else {})
 
     def __post_init__(self) -> None:
@@ -215,15 +214,15 @@ PUBLISHED: Final = Scheme(
     sigmas=SIGMAS,
     colors=tuple(COLORS[SKOPE3D[i]] if i in SKOPE3D else _UNKNOWN_COLOR for i in range(K)),
 )
-"""Keypoints of the published files. Their order differs from ours, and is undocumented but for `SKOPE3D`."""
+"""Keypoints of the published files. Their order differs from ours and is undocumented, except for `SKOPE3D`."""
 
 SCHEMES: Final[dict[str, Scheme]] = {scheme.name: scheme for scheme in (SKOPE33, PUBLISHED)}
 
 
-def scheme_in(said: Mapping[str, Any], name_field: str = "keypoint_scheme") -> Scheme:
-    """Return the scheme that a file names by `Scheme.fields`; a UserError for an unknown name or edition."""
-    name = one_of(name_field, said.get(name_field), tuple(SCHEMES))
-    edition = said.get("keypoint_edition")
+def scheme_in(values: Mapping[str, Any], name_field: str = "keypoint_scheme") -> Scheme:
+    """Return the scheme that a file specifies by `Scheme.fields`; raise a UserError for an unknown name or edition."""
+    name = one_of(name_field, values.get(name_field), tuple(SCHEMES))
+    edition = values.get("keypoint_edition")
     if name == SCHEME and edition != EDITION:
         raise UserError(f"keypoint_edition: expected {EDITION}, got {'nothing' if edition is None else repr(edition)}")
     return SCHEMES[name]

@@ -29,20 +29,20 @@ class RecordLimits:
     largest_number: float = 1e300
     """Largest absolute value of a number in a TOML file."""
     shown_letters: int = 60
-    """Maximum number of letters of a wrong value in a message."""
+    """Maximum number of letters of an invalid value in a message."""
 
 
 RECORD_LIMITS: Final = RecordLimits()
 
 NONE_WORD: Final = "none"
-"""Text that stands for None. TOML has no word for it."""
+"""Text that stands for None, for which TOML has no value."""
 
 
 # -------------------------------------------------------------------------------------------------------- single values
 
 
 def is_number(value: Any) -> TypeGuard[float]:
-    """Whether a value is a finite number that a float can hold. True and False are no numbers."""
+    """Return whether a value is a finite number that a float can represent. True and False are not numbers."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     try:
@@ -57,8 +57,8 @@ def check_number(name: str, value: Any, low: float = 0.0, high: float = math.inf
     Args:
         name: The field; the message begins with it.
         value: Its value.
-        low: Least value.
-        high: Largest value.
+        low: Minimum.
+        high: Maximum.
 
     Returns:
         `value`.
@@ -83,14 +83,14 @@ def check_whole(name: str, value: Any, low: int = 0, high: float = math.inf) -> 
     Args:
         name: The field; the message begins with it.
         value: Its value.
-        low: Least value.
-        high: Largest value.
+        low: Minimum.
+        high: Maximum.
 
     Returns:
         `value`.
 
     Raises:
-        UserError: `value` is not a whole number within the limits. True and False are none.
+        UserError: `value` is not a whole number within the limits. True and False are not numbers.
     """
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise UserError(f"{name}: expected a whole number{_limits(low, high)}, got {shown(value)}")
@@ -108,14 +108,14 @@ def check_array(name: str, value: Any, *shape: int) -> Array:
 
     Args:
         name: The field; the message begins with it.
-        value: Numbers, nested in any way.
-        shape: Shape of the result. The nesting of `value` may differ, the number of its numbers may not.
+        value: Numbers, with any nesting.
+        shape: Shape of the result. The nesting of `value` may differ, but not the number of its numbers.
 
     Returns:
         `value` as float64 of that shape.
 
     Raises:
-        UserError: `value` is not this many finite numbers.
+        UserError: `value` does not consist of that number of finite numbers.
     """
     try:
         result = np.asarray(value, dtype=np.float64)
@@ -137,7 +137,7 @@ def check_image(name: str, value: Any) -> Pixels:
         value: (H, W, 3) RGB pixels of type uint8, with any strides. `bgr[..., ::-1]` has negative ones.
 
     Returns:
-        The same pixels, row by row in memory. They are copied only if they were not.
+        The same pixels, row by row in memory. They are copied only if necessary.
 
     Raises:
         UserError: `value` is not an array, has another shape or type, or has no pixel.
@@ -157,7 +157,7 @@ def check_image(name: str, value: Any) -> Pixels:
 
 
 def shown(value: Any) -> str:
-    """A value for a message of one line."""
+    """Return a value as text for a one-line message."""
     if value is None:
         return "nothing"
     try:
@@ -168,7 +168,7 @@ def shown(value: Any) -> str:
 
 
 def _limits(low: float, high: float) -> str:
-    """Limits in words: " from 0 to 1", " from 0", or nothing."""
+    """Return limits in words: " from 0 to 1", " from 0", or nothing."""
     words = "" if math.isinf(low) else f" from {low:g}"
     return words if math.isinf(high) else f"{words} to {high:g}"
 
@@ -177,13 +177,13 @@ def _limits(low: float, high: float) -> str:
 
 
 def dataclass_of(cls: type[T], values: Any, where: str, defaults: Mapping[str, Any] | None = None) -> T:
-    """Make a dataclass from a mapping, with values of the types of its fields.
+    """Build a dataclass from a mapping, with values converted to the types of its fields.
 
     Args:
         cls: The dataclass. Its fields may be int, float, bool, str, None, dataclasses, and tuples, mappings and unions
             of these.
-        values: JSON or TOML values by the names of its fields. Lists stand for tuples, mappings for dataclasses.
-        where: The mapping, as messages name it, for example "card.json: parameters".
+        values: JSON or TOML values by the names of its fields. Lists become tuples, and mappings dataclasses.
+        where: Name of the mapping in messages, for example "card.json: parameters".
         defaults: Values of fields that may be missing.
 
     Raises:
@@ -216,21 +216,23 @@ def check_known(values: Mapping[str, Any], known: Sequence[str], where: str) -> 
 
 
 def with_values(base: T, values: Any, where: str) -> T:
-    """A copy of a dataclass with other values, as `dataclass_of` reads them.
+    """Return a copy of a dataclass with other values, which are converted as by `dataclass_of`.
 
-    A field that is itself a dataclass is changed, not replaced: its table may have some of its fields. The text "none"
-    stands for None, for which TOML and flags have no word.
+    A field that is itself a dataclass is changed, not replaced: its table may contain only some of its fields. The text
+    "none" stands for None, for which TOML and flags have no value.
     """
-    own = {field.name: getattr(base, field.name) for field in fields(base)}  # type: ignore[arg-type]
+    base_values = {field.name: getattr(base, field.name) for field in fields(base)}  # type: ignore[arg-type]
     hints = get_type_hints(type(base))
     if isinstance(values, Mapping):
         optional = [name for name in values if name in hints and type(None) in get_args(hints[name])]
         values = {**values, **{name: None for name in optional if values[name] == NONE_WORD}}
         values = {
-            name: with_values(own[name], value, _joined(where, name)) if is_dataclass(own.get(name)) else value
+            name: with_values(base_values[name], value, _joined(where, name))
+            if is_dataclass(base_values.get(name))
+            else value
             for name, value in values.items()
         }
-    return dataclass_of(type(base), values, where, own)
+    return dataclass_of(type(base), values, where, base_values)
 
 
 def value_of(value: Any, hint: Any, where: str) -> Any:
@@ -238,8 +240,8 @@ def value_of(value: Any, hint: Any, where: str) -> Any:
 
     Args:
         value: The value.
-        hint: The type, as a dataclass annotates its field.
-        where: The field, as messages name it.
+        hint: The type, as in the annotation of a dataclass field.
+        where: Name of the field in messages.
 
     Raises:
         UserError: The value is not of this type.
@@ -268,7 +270,7 @@ def value_of(value: Any, hint: Any, where: str) -> Any:
 
 
 def plain_values(made: Any) -> dict[str, Any]:
-    """The fields of a dataclass as JSON values, which `dataclass_of` reads. Tuples become lists."""
+    """Return the fields of a dataclass as JSON values for `dataclass_of`. Tuples become lists."""
     values: dict[str, Any] = _plain(asdict(made))
     return values
 
@@ -280,12 +282,12 @@ def _plain(value: Any) -> Any:
 
 
 def _joined(where: str, name: str) -> str:
-    """The path of a field; `where` may end in the separator that it needs."""
+    """Return the path of a field; `where` may end in the separator that it needs."""
     return f"{where}{name}" if not where or where.endswith((" ", ".")) else f"{where}.{name}"
 
 
 def _in_words(hint: Any) -> str:
-    """A type, as messages name it."""
+    """Return the name of a type for messages."""
     words = {int: "a whole number", float: "a number", bool: "true or false", str: "text", type(None): NONE_WORD}
     if hint in words:
         return words[hint]
@@ -300,22 +302,25 @@ def _in_words(hint: Any) -> str:
 
 
 class TomlTable:
-    """A table of a TOML file, read key by key. Errors name file and key. `done` rejects keys that were not read."""
+    """Table of a TOML file, read key by key. Errors name file and key.
+
+    `done` rejects keys that were not read.
+    """
 
     def __init__(self, path: Path, name: str, values: Mapping[str, Any], files: dict[str, Path] | None = None) -> None:
-        """`files` collects the paths of the files that the table names, by their keys."""
+        """Store a table; `files` collects the paths of the files that the table refers to, by key."""
         self.path, self._name, self._values = path, name, dict(values)
         self.files: dict[str, Path] = {} if files is None else files
         self._asked: set[str] = set()
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """The table of a file."""
+        """Return the table of a file."""
         return cls.parse(path, read_text(path))
 
     @classmethod
     def parse(cls, path: Path, text: str) -> Self:
-        """The table of a file's text. Messages name `path`; paths in the table are relative to it."""
+        """Return the table of a file's text. Messages name `path`; paths in the table are relative to it."""
         try:
             return cls(path, "", tomllib.loads(text))
         except ValueError as error:  # also a number with more digits than Python reads
@@ -325,11 +330,11 @@ class TomlTable:
 
     @property
     def values(self) -> Mapping[str, Any]:
-        """All values by their keys."""
+        """Return all values by key."""
         return self._values
 
     def wrong(self, key: str, text: str) -> UserError:
-        """An error at a key, to be raised."""
+        """Return an error at a key, for the caller to raise."""
         where = ".".join(part for part in (self._name, key) if part)
         return UserError(f"{self.path}: {where}: {text}" if where else f"{self.path}: {text}")
 
@@ -338,18 +343,18 @@ class TomlTable:
         return key in self._values
 
     def value(self, key: str) -> Any:
-        """The value of a key, of any type; None if the key is missing."""
+        """Return the value of a key, of any type; None if the key is missing."""
         return self._values[key] if key in self else None
 
     def text(self, key: str, default: str = "") -> str:
-        """A text."""
+        """Return a text."""
         value = self.value(key) if key in self else default
         if not isinstance(value, str):
             raise self.wrong(key, f"expected a text, got {shown(value)}")
         return value
 
     def flag(self, key: str) -> bool:
-        """True or false; false if the key is missing."""
+        """Return true or false; false if the key is missing."""
         value = self.value(key) if key in self else False
         if not isinstance(value, bool):
             raise self.wrong(key, f"expected true or false, got {shown(value)}")
@@ -362,9 +367,9 @@ class TomlTable:
 
         Args:
             key: Key of the table.
-            default: Value if the key is missing; None: the key must be there.
-            low: Least value.
-            high: Largest value.
+            default: Value if the key is missing; None: the key is required.
+            low: Minimum.
+            high: Maximum.
 
         Raises:
             UserError: The key is missing, or its value is not a finite number within the limits.
@@ -380,14 +385,14 @@ class TomlTable:
         return float(value)
 
     def numbers(self, key: str, count: int) -> tuple[float, ...]:
-        """A list of this many numbers."""
+        """Return a list of `count` numbers."""
         value = self.value(key)
         if not isinstance(value, list) or len(value) != count:
             raise self.wrong(key, f"expected {count} numbers, got {shown(value)}" if key in self else "missing")
         return tuple(self._checked(key, item) for item in value)
 
     def matrix(self, key: str, rows: int, columns: int) -> list[tuple[float, ...]]:
-        """A list of rows of numbers. Raises UserError if their counts differ from `rows` and `columns`."""
+        """Return a list of rows of numbers. Raises UserError if their counts differ from `rows` and `columns`."""
         value = self.value(key)
         right = isinstance(value, list) and len(value) == rows
         if not right or any(not isinstance(row, list) or len(row) != columns for row in value):
@@ -395,7 +400,7 @@ class TomlTable:
         return [tuple(self._checked(key, item) for item in row) for row in value]
 
     def file(self, key: str) -> Path | None:
-        """The path of an existing file, relative to this one."""
+        """Return the path of an existing file, relative to this one."""
         if key not in self:
             return None
         path = self.path.parent / self.text(key)
@@ -405,21 +410,21 @@ class TomlTable:
         return path
 
     def table(self, key: str) -> "TomlTable":
-        """A table in this one; an empty one if the key is missing."""
+        """Return a table in this one; an empty one if the key is missing."""
         value = self.value(key) if key in self else {}
         if not isinstance(value, dict):
             raise self.wrong(key, "expected a table")
         return TomlTable(self.path, self._within(key), value, self.files)
 
     def tables(self, key: str) -> list["TomlTable"]:
-        """A list of tables."""
+        """Return a list of tables."""
         values = self.value(key) if key in self else []
         if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
             raise self.wrong(key, "expected a list of tables")
         return [TomlTable(self.path, self._within(key), value, self.files) for value in values]
 
     def rows(self, key: str) -> list["TomlTable"]:
-        """A list of tables that messages number from 1, as in `gates[2]`."""
+        """Return a list of tables that messages number from 1, as in `gates[2]`."""
         numbered = enumerate(self.tables(key), start=1)
         return [TomlTable(row.path, f"{row._name}[{i}]", row._values, row.files) for i, row in numbered]
 
@@ -428,7 +433,7 @@ class TomlTable:
 
     @property
     def unread(self) -> tuple[str, ...]:
-        """Keys that were not read, with the names of their tables."""
+        """Return the keys that were not read, with the names of their tables."""
         return tuple(self._within(key) for key in self._values if key not in self._asked)
 
     def done(self) -> None:

@@ -23,9 +23,9 @@ from skope.types import Array
 
 SCHEMA_VERSION: Final = 1
 VEHICLE_CATEGORY: Final = "vehicle"
-"""The category of all on more than two wheels."""
+"""Category of all vehicles with more than two wheels."""
 PEDESTRIAN_CATEGORY: Final = "pedestrian"
-"""Category of people on foot."""
+"""Category of pedestrians."""
 CATEGORY_NAMES: Final = (VEHICLE_CATEGORY, "bicycle", "motorcycle", PEDESTRIAN_CATEGORY)
 """Names of the categories; ids count from 1. Only vehicles have keypoints. A rider is part of the two-wheeler."""
 VEHICLE_ALONE: Final = CATEGORY_NAMES[:1]
@@ -48,12 +48,12 @@ WEATHER_NAMES: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fo
 
 @dataclass(frozen=True)
 class KeypointTolerance:
-    """How far a labelled keypoint may lie outside its box."""
+    """Maximum distance of a labelled keypoint outside its box."""
 
     share: float = 0.1
     """Share of the box's longer edge."""
     pixels: float = 2.0
-    """Least tolerance, pixels."""
+    """Minimum tolerance, pixels."""
 
 
 KEYPOINT_TOLERANCE: Final = KeypointTolerance()
@@ -62,7 +62,7 @@ IGNORE_REASONS: Final = ("occluded", "sliver", "small", "unseen")
 
 
 def category(scheme: Scheme = SKOPE33) -> dict[str, Any]:
-    """The COCO category `vehicle`, with names, 1-based skeleton and sigmas."""
+    """Return the COCO category `vehicle`, with names, 1-based skeleton and sigmas."""
     return {
         "id": CATEGORY_ID,
         "name": "vehicle",
@@ -74,7 +74,7 @@ def category(scheme: Scheme = SKOPE33) -> dict[str, Any]:
 
 
 def category_rows(categories: Iterable[str], scheme: Scheme = SKOPE33) -> list[dict[str, Any]]:
-    """The COCO categories of these names; those without keypoints have empty lists, which pycocotools draws."""
+    """Return the COCO categories of these names; those without keypoints have empty lists, as pycocotools requires."""
     rows = [category(scheme)]
     for name in categories:
         if name != "vehicle":
@@ -85,7 +85,7 @@ def category_rows(categories: Iterable[str], scheme: Scheme = SKOPE33) -> list[d
 
 
 def checked_categories(categories: Iterable[str]) -> tuple[str, ...]:
-    """Names of categories in the order of their ids; a UserError where one is unknown or `vehicle` is missing."""
+    """Return category names in the order of their ids; a UserError if one is unknown or `vehicle` is missing."""
     names = tuple(categories)
     for name in names:
         check_choice("categories", name, CATEGORY_NAMES)
@@ -96,7 +96,7 @@ def checked_categories(categories: Iterable[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Image:
-    """One frame of one camera. Paths are relative to the dataset folder, with forward slashes."""
+    """Frame of a camera. Paths are relative to the dataset folder, with forward slashes."""
 
     id: int
     file_name: str
@@ -131,7 +131,7 @@ class Image:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box3D:
-    """An oriented box in the world frame, metres and radians, without mirrors and antennas."""
+    """Oriented box in the world frame, metres and radians, without mirrors and antennas."""
 
     center: Array
     """(3,) middle of the box."""
@@ -140,7 +140,7 @@ class Box3D:
     yaw: float
     """Heading, radians, counter-clockwise from world x."""
     R: Array
-    """(3, 3) turns vehicle axes (x forward, y left, z up) into world axes."""
+    """(3, 3) rotation from vehicle axes (x forward, y left, z up) to world axes."""
 
     def __post_init__(self) -> None:
         for name, shape in (("center", (3,)), ("size_lwh", (3,)), ("R", (3, 3))):
@@ -151,34 +151,34 @@ class Box3D:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Labelled:
-    """Base of the labels of vehicles, riders and people on foot in one image."""
+    """Base of the labels of vehicles, riders and pedestrians in one image."""
 
     id: int
     image_id: int
     bbox: Array
-    """(4,) x, y, width, height: the whole silhouette as if nothing stood before it, clipped to the image."""
+    """(4,) x, y, width, height of the whole silhouette, as if nothing occluded it, clipped to the image."""
     area: float
     """Number of visible pixels."""
     iscrowd: int = 0
-    """1: ignored, neither ground truth nor background."""
+    """1 for ignored: neither ground truth nor background."""
     segmentation: Mapping[str, Any] | list[Any] | None = None
     """COCO RLE of the visible pixels."""
     track_id: int | None = None
     bbox_visible: Array | None = None
     """(4,) box of the visible pixels."""
     area_full: float | None = None
-    """Number of the whole silhouette's pixels inside the image."""
+    """Number of pixels of the whole silhouette inside the image."""
     box_3d: Box3D | None = None
     velocity: Array | None = None
     """(3,) velocity in the world, m/s."""
     distance: float | None = None
-    """Camera to the middle of the 3D box, metres."""
+    """Distance from the camera to the middle of the 3D box, metres."""
     occlusion: float | None = None
-    """Share of the silhouette's pixels inside the image that something else hides."""
+    """Hidden share of the silhouette's pixels inside the image."""
     truncation: float | None = None
     """Share of the silhouette outside the image."""
     contrast: float | None = None
-    """Mean absolute difference that it makes on its visible pixels, in units of the noise's sigma."""
+    """Mean absolute difference of its visible pixels to the image without it, in units of the noise's sigma."""
     ignore_reason: str | None = None
 
     def __post_init__(self) -> None:
@@ -204,7 +204,7 @@ class Labelled:
         check_choice("ignore_reason", self.ignore_reason, IGNORE_REASONS)
 
     def _set_array(self, name: str, *shape: int) -> None:
-        """Put a field's numbers in place as an array of a shape."""
+        """Replace a field's numbers by an array of a shape."""
         object.__setattr__(self, name, check_array(name, getattr(self, name), *shape))
 
     @property
@@ -214,7 +214,7 @@ class Labelled:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Annotation(Labelled):
-    """One vehicle in one image."""
+    """Vehicle in one image."""
 
     keypoints: Array
     """(33, 3) x, y, v: v = 2 visible, 1 inside the image but hidden, 0 (x = y = 0) outside or unlabelled."""
@@ -224,11 +224,11 @@ class Annotation(Labelled):
     color: str | None = None
     parked: bool | None = None
     keypoints_3d: Array | None = None
-    """(33, 3) world positions of all keypoints, whatever v says, metres."""
+    """(33, 3) world positions of all keypoints, for any v, metres."""
     box_3d_pixels: Array | None = None
-    """(8, 2) corners of the 3D box in the image, where a dataset has those and no camera."""
+    """(8, 2) corners of the 3D box in the image, if a dataset has them without a camera."""
     articulation: float | None = None
-    """Of an articulated vehicle: heading of the trailer minus that of the vehicle before it, radians."""
+    """Heading of an articulated vehicle's trailer minus that of the vehicle in front of it, radians."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -254,19 +254,19 @@ class Annotation(Labelled):
 
 
 class _Categorised:
-    """Base of everything in a category without keypoints."""
+    """Base of labels and results in a category without keypoints."""
 
     category_id: int
 
     @property
     def category(self) -> str:
-        """Name of its category."""
+        """Name of the category."""
         return CATEGORY_NAMES[self.category_id - 1]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoadUser(Labelled, _Categorised):
-    """A bicycle or motorcycle with its riders, or a person on foot, in one image."""
+    """Bicycle or motorcycle with its riders, or a pedestrian, in one image."""
 
     category_id: int
     """2 to 4, see `CATEGORY_NAMES`."""
@@ -285,9 +285,9 @@ L = TypeVar("L", bound=Labelled)
 
 
 def far_outside(annotation: Annotation) -> NDArray[np.bool_]:
-    """(33,) which labelled keypoints lie outside of the vehicle's box by more than a tenth of its longer edge, or 2 px.
+    """Return (33,) whether labelled keypoints are outside the box by more than a tenth of its longer edge, or 2 px.
 
-    The box is that of the whole vehicle as far as the image shows it: such a point cannot be seen on it.
+    The box is that of the whole vehicle inside the image, so such a point cannot be visible.
     """
     low, size = annotation.bbox[:2], annotation.bbox[2:]
     points = annotation.keypoints[:, :2]
@@ -300,24 +300,24 @@ def far_outside(annotation: Annotation) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AnnotationFile:
-    """One split: images, and the vehicles and other road users in them, in file order.
+    """Split: images, and the vehicles and other road users in them, in file order.
 
     Ids are unique over annotations and road users together.
     """
 
     images: tuple[Image, ...]
     annotations: tuple[Annotation, ...]
-    """The vehicles, and they alone."""
+    """Vehicles only."""
     info: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     name: str = ""
-    """The split's name: the file's stem."""
+    """Name of the split: the file's stem."""
     scheme: Scheme = SKOPE33
     """Keypoint scheme of the file."""
     road_users: tuple[RoadUser, ...] = ()
-    """People on foot and on two wheels, where the file's makers labelled them."""
+    """Pedestrians and two-wheelers, if the file labels them."""
     categories: tuple[str, ...] = VEHICLE_ALONE
-    """Names of the categories that were labelled, in the order of their ids, whether or not there is one of each: in
-    images of a file that does not name pedestrians there may be some without a label."""
+    """Names of the labelled categories, in the order of their ids, whether or not each occurs. Images of a file without
+    pedestrians among them may show unlabelled pedestrians."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "categories", checked_categories(self.categories))
@@ -326,17 +326,17 @@ class AnnotationFile:
                 raise UserError(f"categories: road user {user.id} is a {user.category}, which is not among them")
 
     def by_image(self) -> dict[int, list[Annotation]]:
-        """Vehicles of each image id, in file order; images without one have an empty list."""
+        """Return the vehicles by image id, in file order; images without vehicles have an empty list."""
         return _grouped(self.images, self.annotations)
 
     def road_users_by_image(self) -> dict[int, list[RoadUser]]:
-        """Other road users of each image id, in file order; images without one have an empty list."""
+        """Return the other road users by image id, in file order; images without any have an empty list."""
         return _grouped(self.images, self.road_users)
 
     def labels_by_image(self) -> dict[int, list[Annotation | RoadUser]]:
-        """Vehicles of each image id and, after them, its other road users."""
-        others = self.road_users_by_image()
-        return {number: [*vehicles, *others[number]] for number, vehicles in self.by_image().items()}
+        """Return the vehicles and, after them, the other road users by image id."""
+        road_users = self.road_users_by_image()
+        return {number: [*vehicles, *road_users[number]] for number, vehicles in self.by_image().items()}
 
 
 def _grouped(images: Iterable[Image], labels: Iterable[L]) -> dict[int, list[L]]:
@@ -356,9 +356,9 @@ class Found:
     bbox: Array
     """(4,) x, y, width, height."""
     interpolated: bool = False
-    """Whether it was followed from other frames, and no detector has seen it in this one."""
+    """Whether it was tracked from other frames and not detected in this one."""
     track_id: int | None = None
-    """Its number among those of its video, which results of other frames share; None: not known."""
+    """Number among the road users of its video, shared by results of other frames; None: not known."""
 
     def __post_init__(self) -> None:
         check_whole("image_id", self.image_id, 0)
@@ -372,13 +372,13 @@ class Found:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Result(Found):
-    """One predicted vehicle of a COCO results file."""
+    """Predicted vehicle of a COCO results file."""
 
     keypoints: Array
     """(33, 3) x, y, probability that the point is right."""
     category_id: int = CATEGORY_ID
     boxed: bool = True
-    """Whether its file has a box for it; else that is the extent of the keypoints that were found."""
+    """Whether its file has a box for it; otherwise the box is the extent of its keypoints."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -388,7 +388,7 @@ class Result(Found):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoadUserResult(Found, _Categorised):
-    """One predicted bicycle, motorcycle or person on foot of a COCO results file."""
+    """Predicted bicycle, motorcycle or pedestrian of a COCO results file."""
 
     category_id: int
     """2 to 4, see `CATEGORY_NAMES`."""

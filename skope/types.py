@@ -1,4 +1,4 @@
-"""Types that the whole package uses; docstrings give the shape of arrays, as in (N, 33, 3)."""
+"""Types for the whole package; docstrings give the shape of arrays, as in (N, 33, 3)."""
 
 from typing import Any
 
@@ -6,18 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-"""Numbers of type float64, as nearly all are."""
+"""Array of float64, the usual type."""
 AnyFloats = NDArray[np.floating[Any]]
-"""Numbers of any floating type: depths are float32, places float64."""
+"""Array of any floating type: depths are float32, positions float64."""
 Floats32 = NDArray[np.float32]
-"""Numbers of type float32: what networks and optical flow take."""
+"""Array of float32, for networks and optical flow."""
 Integers = NDArray[np.int64]
-"""Whole numbers, as indices and ids."""
+"""Array of integers, such as indices and ids."""
 Integers32 = NDArray[np.int32]
-"""Whole numbers that are kept by the million."""
+"""Array of small integers, for millions of values."""
 Mask = NDArray[np.bool_]
-"""Whether something holds, element by element."""
+"""Boolean array."""
 Pixels = NDArray[np.uint8]
 """(H, W, 3) RGB, or (H, W) grey, 0 to 255."""
 Range = tuple[float, float]
-"""The lowest and the highest value, between which one is drawn."""
+"""Minimum and maximum of a range from which a value is drawn."""

@@ -1,1 +1,1 @@
-"""Pictures and videos that are drawn on and written."""
+"""Drawing on images, and writing of images and videos."""

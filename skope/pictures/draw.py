@@ -1,8 +1,8 @@
-"""Overlays of vehicles on images, and sheets of several images. RGB uint8 in and out; OpenCV draws.
+"""Overlays of vehicles on images, and sheets of several images. RGB uint8 in and out; drawn by OpenCV.
 
-Coordinates are skope's continuous pixels. OpenCV counts the centre of pixel i as i, so half a pixel is taken off on the
-way in, and sub-pixel positions are kept. Everything drawn grows with the image; `scale` enlarges small images first, so
-that their keypoints do not run together. Arrays of another shape or type raise a UserError.
+Coordinates are skope's continuous pixels. OpenCV counts the centre of pixel i as i, so half a pixel is subtracted, and
+sub-pixel positions are kept. Line widths and letters grow with the image. `scale` first enlarges small images, so that
+keypoints do not merge. Arrays of another shape or type raise a UserError.
 """
 
 import itertools
@@ -42,21 +42,21 @@ class DrawingStyle:
         (230, 140, 190),
         (190, 230, 120),
     )
-    """Colours of vehicles, by track: Okabe and Ito's, brightened where they would be lost on asphalt."""
+    """Colours of vehicles, by track: those of Okabe and Ito, brightened if they would be invisible on asphalt."""
     ignored: Color = (200, 200, 200)
     """Colour of ignored vehicles."""
     dark: Color = (16, 16, 16)
     """Colour of outlines behind letters."""
     drawn_probability: float = 0.5
-    """Probability from which a keypoint is drawn in full."""
+    """Minimum probability of a keypoint that is drawn in full."""
     faint_probability: float = 0.15
-    """Keypoints of a lower probability are not drawn. Up to `drawn_probability` they are faint."""
+    """Minimum probability of a drawn keypoint. Below `drawn_probability` it is faint."""
     faintness: float = 0.4
     """Share of a faint keypoint's colour in the image."""
     small_px: int = 36
-    """Longer side of a small box, pixels of the enlarged image at 960x540."""
+    """Maximum longer side of a small box, pixels of the enlarged image at 960x540."""
     subpixel_bits: int = 4
-    """OpenCV takes sub-pixel positions as integers of 1 / 2**subpixel_bits pixel."""
+    """OpenCV takes sub-pixel positions as integers in units of 1 / 2**subpixel_bits pixel."""
 
 
 DRAWING_STYLE: Final = DrawingStyle()
@@ -74,44 +74,43 @@ def annotations(
 ) -> Pixels:
     """Draw ground truth on a copy of an image.
 
-    Keypoints are filled where visible (v = 2) and hollow where hidden (v = 1); ignored road users have a dashed
-    box with the reason. The label is the track number, or the annotation id; for other road users it begins with a
-    letter.
+    Keypoints are filled where visible (v = 2) and hollow where hidden (v = 1); ignored road users have a dashed box
+    with the reason. The label is the track number or the annotation id; for other road users it begins with a letter.
 
     Args:
         image: (H, W, 3) RGB.
         vehicles: The image's annotations, boxes and keypoints in its pixels.
-        road_users: People on foot and on two wheels.
+        road_users: Pedestrians and two-wheelers.
         scale: Enlargement factor.
-        scheme: What the keypoints are.
+        scheme: Scheme of the keypoints.
 
     Returns:
         (scale H, scale W, 3) RGB.
     """
     canvas = _Canvas(image, scale, scheme)
     labels: list[Annotation | RoadUser] = [*vehicles, *road_users]
-    for one in sorted(labels, key=lambda label: not label.ignored):
-        color = color_of(one)
-        if one.ignored:
-            canvas.dashed_box(one.bbox, color)
-            canvas.note(one.bbox, one.ignore_reason or "ignored", color)
-        elif isinstance(one, Annotation):
-            v = one.keypoints[:, 2]
-            canvas.vehicle(one.bbox, one.keypoints, v > 0, v > 1, color)
-            canvas.label(one.bbox, str(number_of(one)), color)
+    for label in sorted(labels, key=lambda label: not label.ignored):
+        color = color_of(label)
+        if label.ignored:
+            canvas.dashed_box(label.bbox, color)
+            canvas.note(label.bbox, label.ignore_reason or "ignored", color)
+        elif isinstance(label, Annotation):
+            v = label.keypoints[:, 2]
+            canvas.vehicle(label.bbox, label.keypoints, v > 0, v > 1, color)
+            canvas.label(label.bbox, str(number_of(label)), color)
         else:
-            canvas.box(one.bbox, color)
-            canvas.label(one.bbox, f"{one.category[0]}{number_of(one)}", color)
+            canvas.box(label.bbox, color)
+            canvas.label(label.bbox, f"{label.category[0]}{number_of(label)}", color)
     return canvas.pixels
 
 
 def number_of(label: Labelled) -> int:
-    """Number that is drawn: the track's, or the annotation's id."""
+    """Return the drawn number: that of the track, or the annotation's id."""
     return label.id if label.track_id is None else label.track_id
 
 
 def color_of(label: Labelled) -> Color:
-    """The colour that a road user is drawn in, wherever it is seen."""
+    """Return the colour of a road user in all drawings."""
     return (
         DRAWING_STYLE.ignored if label.ignored else DRAWING_STYLE.palette[number_of(label) % len(DRAWING_STYLE.palette)]
     )
@@ -171,9 +170,9 @@ def results(
     Args:
         image: (H, W, 3) RGB.
         found: Vehicles, in pixels of the image.
-        road_users: People on foot and on two wheels.
+        road_users: Pedestrians and two-wheelers.
         scale: Enlargement factor.
-        scheme: What the keypoints are.
+        scheme: Scheme of the keypoints.
 
     Returns:
         (scale H, scale W, 3) RGB.
@@ -195,11 +194,11 @@ def results(
 
 
 def boxes_3d(image: Pixels, vehicles: Iterable[Labelled], camera: Camera) -> Pixels:
-    """Draw the edges of road users' 3D boxes on a copy of an image, those of the front end thicker.
+    """Draw the edges of road users' 3D boxes on a copy of an image; edges of the front are thicker.
 
     Args:
         image: (H, W, 3) RGB.
-        vehicles: Labels of vehicles or others; those without `box_3d` are left out.
+        vehicles: Labels of vehicles or other road users; those without `box_3d` are skipped.
         camera: The image's camera.
     """
     canvas = _Canvas(image, 1)
@@ -211,9 +210,9 @@ def boxes_3d(image: Pixels, vehicles: Iterable[Labelled], camera: Camera) -> Pix
 
 
 def edges_3d(box: Box3D, camera: Camera) -> Iterator[tuple[list[NDArray[np.float64]], bool]]:
-    """Each of a box's 12 edges as pieces (2, 2) in pixels, as many as a lens may bend it, and whether it is in front.
+    """Yield each of a box's 12 edges as pieces (2, 2) in pixels, which a lens may bend, and whether it is in front.
 
-    What is behind the camera is left out.
+    Parts behind the camera are omitted.
     """
     corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * box.size_lwh @ box.R.T + box.center
     along = np.linspace(0, 1, 17)[:, None]
@@ -224,7 +223,7 @@ def edges_3d(box: Box3D, camera: Camera) -> Iterator[tuple[list[NDArray[np.float
 
 
 def visible_mask(vehicle: Labelled) -> NDArray[np.bool_] | None:
-    """(H, W) a road user's visible pixels; None where they are not given as RLE."""
+    """Return (H, W) a road user's visible pixels; None if they are not given as RLE."""
     if not isinstance(vehicle.segmentation, Mapping):
         return None
     counts = str(vehicle.segmentation["counts"]).encode()
@@ -248,7 +247,7 @@ def masks(image: Pixels, vehicles: Iterable[Labelled], *, strength: float = 0.45
 
 
 def depth(metres: NDArray[np.float32], *, near: float = 4.0) -> Pixels:
-    """(H, W) metres as colours by nearness, from red at `near` to blue far away; sky is dark. Raises UserError."""
+    """Return (H, W) metres as colours by distance, red at `near` to blue far away; dark sky. Raises UserError."""
     if metres.ndim != 2 or not metres.size or metres.dtype.kind != "f":
         raise UserError(
             f"metres: expected (H, W) numbers of a floating type, got {metres.shape} of type {metres.dtype}"
@@ -260,7 +259,7 @@ def depth(metres: NDArray[np.float32], *, near: float = 4.0) -> Pixels:
 
 
 def occlusion(image: Pixels, vehicles: Iterable[Labelled]) -> Pixels:
-    """Each road user's box with the share of it that something hides, on a copy of (H, W, 3) `image`."""
+    """Draw each road user's box with its hidden share on a copy of (H, W, 3) `image`."""
     canvas = _Canvas(image, 1)
     for vehicle in vehicles:
         share = vehicle.occlusion or 0.0
@@ -272,11 +271,11 @@ def occlusion(image: Pixels, vehicles: Iterable[Labelled]) -> Pixels:
 
 
 def caption(image: Pixels, text: str) -> Pixels:
-    """A copy of (H, W, 3) `image` with a line of text on a dark strip above it, shortened where it is too long."""
+    """Return a copy of (H, W, 3) `image` with a line of text on a dark strip above it, shortened if it is too long."""
     image = check_image("image", image)
     size = max(0.4, image.shape[1] / 1600)
     strip = np.full((round(36 * size) + 4, image.shape[1], 3), DRAWING_STYLE.dark, dtype=np.uint8)
-    # The Hershey fonts have ASCII only, about 18 pixels a letter.
+    # The Hershey fonts have ASCII only, about 18 pixels per letter.
     text = text.encode("ascii", "replace").decode()[: int(image.shape[1] / (18 * size))]
     origin = (round(8 * size), round(26 * size) + 2)
     cv2.putText(strip, text, origin, _LABEL_FONT, 0.8 * size, (255, 255, 255), max(1, round(size)), cv2.LINE_AA)
@@ -287,12 +286,12 @@ def contact_sheet(images: Sequence[Pixels], columns: int, *, gap: int = 4) -> Pi
     """Put images in rows, each at the top left of a cell as large as the largest of them.
 
     Args:
-        images: (H, W, 3) RGB each, of any sizes; one at least.
-        columns: Images in a row.
-        gap: Pixels between cells.
+        images: (H, W, 3) RGB each, of any sizes; at least one.
+        columns: Number of images per row.
+        gap: Distance between cells, pixels.
 
     Raises:
-        ValueError: There is no image, or no column.
+        ValueError: There is no image or no column.
     """
     if not images or columns < 1:
         raise ValueError("a contact sheet needs at least one image and one column")
@@ -308,9 +307,9 @@ def contact_sheet(images: Sequence[Pixels], columns: int, *, gap: int = 4) -> Pi
 
 
 def write(path: str | Path, image: Pixels) -> None:
-    """Write an image, (H, W, 3) RGB, in one step, in the format of the path's suffix. Raises UserError."""
+    """Write an image, (H, W, 3) RGB, atomically, in the format of the path's suffix. Raises UserError."""
     path = Path(path)
-    # In memory: OpenCV itself ends the process at a path that is not UTF-8.
+    # In memory, because OpenCV ends the process at a path that is not UTF-8.
     encoded, data = cv2.imencode(path.suffix, cv2.cvtColor(check_image("image", image), cv2.COLOR_RGB2BGR))
     if not encoded:
         raise UserError(f"{path}: the image could not be encoded")
@@ -318,7 +317,7 @@ def write(path: str | Path, image: Pixels) -> None:
 
 
 class _Canvas:
-    """An image being drawn on; positions are pixels of the image before it was enlarged."""
+    """Image to draw on; positions are pixels of the image before enlargement."""
 
     def __init__(self, image: Pixels, scale: int, scheme: Scheme = SKOPE33) -> None:
         image = check_image("image", image)
@@ -326,7 +325,7 @@ class _Canvas:
         self.pixels: Pixels = cv2.resize(image, size, interpolation=cv2.INTER_CUBIC) if scale > 1 else image.copy()  # type: ignore[assignment]
         self._scale, self._scheme = scale, scheme
         self._unit = max(1.0, min(size) / 540)
-        """Width that lines and letters are multiples of: one pixel at 960x540 and below, two at 1920x1080."""
+        """Base width of lines and letters: one pixel at 960x540 and below, two at 1920x1080."""
         self._line = round(self._unit)
 
     def vehicle(
@@ -337,13 +336,13 @@ class _Canvas:
         sure: NDArray[np.bool_],
         color: Color,
     ) -> None:
-        """A box, the skeleton between shown points (dimmer where an end is not sure), and the points."""
+        """Draw a box, the skeleton between shown points (dimmer if an end is not sure), and the points."""
         self.box(bbox, color)
         self._skeleton(points, shown, sure, color)
         self._points(bbox, points, shown, sure)
 
     def prediction(self, bbox: ArrayLike, points: NDArray[np.float64], color: Color) -> None:
-        """A predicted vehicle: a box, and of keypoints (33, 3: x, y, probability) and skeleton what is sure."""
+        """Draw a predicted vehicle: a box, and those keypoints (33, 3: x, y, probability) and edges that are sure."""
         sure = points[:, 2] >= DRAWING_STYLE.drawn_probability
         self._box(bbox, color, max(1, self._line // 2) if self.is_small(bbox) else self._line)
         if not self.is_small(bbox):
@@ -351,11 +350,11 @@ class _Canvas:
         self._points(bbox, points, sure, sure)
 
     def is_small(self, bbox: ArrayLike) -> bool:
-        """Whether what is drawn in a box would cover all of it."""
+        """Return whether drawings in a box would cover all of it."""
         return bool(max(np.asarray(bbox)[2:]) * self._scale < DRAWING_STYLE.small_px * self._unit)
 
     def faint_points(self, found: Iterable[Result]) -> None:
-        """The keypoints of predicted vehicles that are not sure, but not improbable either."""
+        """Draw the keypoints of predicted vehicles that are neither sure nor improbable."""
         before = self.pixels.copy()
         for result in found:
             probability = result.keypoints[:, 2]
@@ -364,7 +363,7 @@ class _Canvas:
         cv2.addWeighted(self.pixels, DRAWING_STYLE.faintness, before, 1 - DRAWING_STYLE.faintness, 0, dst=self.pixels)
 
     def box(self, bbox: ArrayLike, color: Color) -> None:
-        """The outline of a box."""
+        """Draw the outline of a box."""
         self._box(bbox, color, self._line)
 
     def _box(self, bbox: ArrayLike, color: Color, thickness: int) -> None:
@@ -374,7 +373,7 @@ class _Canvas:
     def _skeleton(
         self, points: NDArray[np.float64], shown: NDArray[np.bool_], sure: NDArray[np.bool_], color: Color
     ) -> None:
-        """The skeleton between shown points, dimmer where an end is not sure."""
+        """Draw the skeleton between shown points, dimmer if an end is not sure."""
         dim = tuple(c // 2 for c in color)
         for a, b in self._scheme.skeleton:
             if shown[a] and shown[b]:
@@ -384,7 +383,7 @@ class _Canvas:
     def _points(
         self, bbox: ArrayLike, points: NDArray[np.float64], shown: NDArray[np.bool_], sure: NDArray[np.bool_]
     ) -> None:
-        """The shown points: filled where they are sure, else hollow."""
+        """Draw the shown points: filled if they are sure, else hollow."""
         # Small vehicles get small points, so that they do not merge into a blot.
         least = 0.8 if self.is_small(bbox) else 1.5
         radius = float(np.clip(max(np.asarray(bbox)[2:]) * self._scale / 50, least, 2.25 * self._unit))
@@ -392,7 +391,7 @@ class _Canvas:
             self._point(points[i, :2], radius, self._scheme.colors[i], filled=bool(sure[i]))
 
     def box_3d(self, box: Box3D, camera: Camera, color: Color) -> None:
-        """A box's edges, those of its front end thicker."""
+        """Draw a box's edges; those of its front are thicker."""
         for pieces, front in edges_3d(box, camera):
             for piece in pieces:
                 self._polyline(piece, color, 2 * self._line if front else max(1, self._line))
@@ -410,7 +409,7 @@ class _Canvas:
                 self._polyline(ends, color, max(1, self._line // 2))
 
     def label(self, bbox: ArrayLike, text: str, color: Color) -> None:
-        """Text in a filled tag on top of a box, kept inside the image."""
+        """Draw text in a filled tag on top of a box, inside the image."""
         size = 0.4 * self._unit
         (width, height), base = cv2.getTextSize(text, _LABEL_FONT, size, self._line)
         x, y = (int(v * self._scale) for v in np.asarray(bbox)[:2])
@@ -429,7 +428,7 @@ class _Canvas:
         )
 
     def number(self, at: ArrayLike, number: int, *, bold: bool) -> None:
-        """A keypoint's number, to the upper right of it."""
+        """Draw a keypoint's number to the upper right of it."""
         x, y = (int(v * self._scale) for v in np.asarray(at))
         size, color = 0.36 * self._unit, (255, 255, 255) if bold else DRAWING_STYLE.ignored
         origin = (x + round(3 * self._unit), y - round(3 * self._unit))
@@ -437,7 +436,7 @@ class _Canvas:
             cv2.putText(self.pixels, str(number), origin, _LABEL_FONT, size, ink, thickness, cv2.LINE_AA)
 
     def note(self, bbox: ArrayLike, text: str, color: Color) -> None:
-        """Small text below a box, without a tag: what is ignored must not hide what counts."""
+        """Draw small text below a box, without a tag, so that ignored road users do not hide others."""
         x, y, _, height = np.asarray(bbox, dtype=np.float64) * self._scale
         size = 0.3 * self._unit
         (_, text_height), _ = cv2.getTextSize(text, _LABEL_FONT, size, 1)

@@ -1,1 +1,1 @@
-"""Dialogue of the commands: options, messages, progress, tables."""
+"""Interaction of the commands: options, messages, progress, tables."""

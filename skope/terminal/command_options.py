@@ -1,4 +1,4 @@
-"""Options that commands of all groups share: default folders, how options are declared, `--quiet`, `--version`."""
+"""Options shared by commands of all groups: default folders, declaration of options, `--quiet`, `--version`."""
 
 import inspect
 from collections.abc import Callable, Iterator
@@ -16,9 +16,9 @@ from skope.terminal.console import Console
 from skope.version import __version__
 
 DATA_FOLDER: Final = Path("data/skope")
-"""Dataset that `skope gen` makes, `skope train` learns from and `skope eval` measures on."""
+"""Dataset that `skope gen` writes, `skope train` learns from and `skope eval` measures on."""
 RUN_FOLDER: Final = Path("runs/skope")
-"""Run that `skope train` makes and `skope eval` measures."""
+"""Run that `skope train` writes and `skope eval` measures."""
 SHEETS_FOLDER: Final = Path("runs/show")
 GALLERY_FOLDER: Final = Path("runs/gallery")
 SITE_PLANS: Final = Path("runs/sites")
@@ -48,7 +48,7 @@ def option(
     least: int | None = None,
     **settings: Any,
 ) -> Any:
-    """A `typer.Option` for an annotation.
+    """Return a `typer.Option` for an annotation.
 
     Args:
         names: Names of the option. Default: the name of the parameter with dashes.
@@ -66,12 +66,12 @@ def option(
         }
     if least is not None:
         settings["callback"] = _from(least)
-    # Rich would take what stands in brackets for markup, and leave it out.
+    # Rich would interpret text in brackets as markup and drop it.
     return typer.Option(*names, help=help.replace("[", r"\["), **settings)
 
 
 def panel(title: str) -> Callable[..., Any]:
-    """`option` for options that `--help` shows under this title."""
+    """Return a variant of `option` for options that `--help` shows under this title."""
     return partial(option, rich_help_panel=title)
 
 
@@ -101,12 +101,12 @@ def _from(least: int) -> Callable[..., Any]:
 
 
 def _flag(param: Any) -> str:
-    """The spelling of an option that errors name: its long one."""
+    """Return the spelling of an option for error messages: the long one."""
     return max(map(str, param.opts), key=len)
 
 
 def separated(values: list[str] | None) -> list[str]:
-    """The parts of a flag that may be repeated and hold several parts separated by commas."""
+    """Return the parts of a flag that may be repeated and may contain several parts separated by commas."""
     return [part.strip() for value in values or () for part in value.split(",") if part.strip()]
 
 
@@ -127,18 +127,20 @@ JsonOption = Annotated[bool, option("--json", help="Print one JSON document with
 
 
 class CommandGroup(TyperGroup):
-    """A group that answers a word it does not know with the command that is called so, or nearly so."""
+    """Command group that suggests commands with the same or a similar name for an unknown word."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         word = args[0]
         if self.get_command(ctx, word) is None and not word.startswith("-"):
-            place = " ".join(["skope", *ctx.command_path.split(" ")[ctx.find_root().command_path.count(" ") + 1 :]])
-            raise UserError(f"{word}: `{place}` has no such command; {_meant(ctx.find_root().command, word)}")
+            group_name = " ".join(
+                ["skope", *ctx.command_path.split(" ")[ctx.find_root().command_path.count(" ") + 1 :]]
+            )
+            raise UserError(f"{word}: `{group_name}` has no such command; {_meant(ctx.find_root().command, word)}")
         return super().resolve_command(ctx, args)
 
 
 def _meant(root: Any, word: str) -> str:
-    """Commands of the whole program that a word may mean, in words."""
+    """Return a text with the commands of the whole program that a word may refer to."""
     names = {path: path.rpartition(" ")[2] for path in _paths(root, "skope")}
     near = get_close_matches(word, names.values(), n=2, cutoff=0.7)
     for alike in (
@@ -152,7 +154,7 @@ def _meant(root: Any, word: str) -> str:
 
 
 def _paths(group: Any, path: str) -> Iterator[str]:
-    """The full names of all commands below a group, but of hidden ones."""
+    """Return the full names of all commands below a group, except hidden ones."""
     for name, command in getattr(group, "commands", {}).items():
         if not command.hidden:
             yield f"{path} {name}"
@@ -178,7 +180,7 @@ class Commands(typer.Typer):
 
 
 def _registering(register: Callable[[Any], Any]) -> Callable[[C], C]:
-    """Register what typer is to call in place of a function, which itself stays as it is."""
+    """Register the function that typer calls; the decorated function itself is unchanged."""
 
     def decorate(function: C) -> C:
         register(_for_typer(function))
@@ -188,9 +190,9 @@ def _registering(register: Callable[[Any], Any]) -> Callable[[C], C]:
 
 
 def _for_typer(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function that typer calls in place of `function`: it also has the options of `Commands`."""
+    """Return the function that typer calls instead of `function`; it also has the options of `Commands`."""
     parameters = inspect.signature(function).parameters
-    options = [one for parameter in parameters.values() for one in _options(parameter)]
+    options = [typer_option for parameter in parameters.values() for typer_option in _options(parameter)]
 
     def run(context: typer.Context, **values: Any) -> None:
         if context.invoked_subcommand is not None:
@@ -211,23 +213,23 @@ def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
 
 
 def _options(parameter: inspect.Parameter) -> Iterator[inspect.Parameter]:
-    """The parameters that typer makes options and arguments of, for one of a function's parameters."""
+    """Yield the parameters from which typer makes options and arguments, for one parameter of a function."""
     if parameter.annotation is Console:
         return
     group = is_dataclass(parameter.annotation)
-    for one in inspect.signature(parameter.annotation).parameters.values() if group else (parameter,):
-        yield _keyword(one.name, one.annotation, one.default)
+    for member in inspect.signature(parameter.annotation).parameters.values() if group else (parameter,):
+        yield _keyword(member.name, member.annotation, member.default)
 
 
 def _argument(parameter: inspect.Parameter, context: typer.Context, values: dict[str, Any]) -> Any:
-    """The value that a function is called with for one of its parameters."""
+    """Return the value of one parameter for the call of a function."""
     kind = parameter.annotation
     if kind is Console:
         return Console(quiet=_quiet(context))
     if not is_dataclass(kind):
         return values[parameter.name]
     make: Any = kind
-    return make(**{one.name: values[one.name] for one in fields(kind)})
+    return make(**{field.name: values[field.name] for field in fields(kind)})
 
 
 def _quiet(context: Any) -> bool:
@@ -236,13 +238,13 @@ def _quiet(context: Any) -> bool:
 
 
 def _given(context: typer.Context, name: str) -> bool:
-    """Whether an option stands on the command line."""
+    """Return whether an option is on the command line."""
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
 
 
 def _refuse_flags(context: typer.Context) -> None:
-    """Raise a UserError where flags that only a group knows stand before one of its commands."""
+    """Raise a UserError if flags of a group are given before one of its commands."""
     for parameter in context.command.params:
         if parameter.name != "quiet" and _given(context, parameter.name or ""):
             raise UserError(

@@ -15,14 +15,14 @@ COLUMN_ALIGNMENTS: Final = {"l": "left", "r": "right"}
 
 
 def text_table(head: Sequence[str], rows: Iterable[Sequence[object]], align: str = "l") -> list[str]:
-    """The lines of a table, its head first.
+    """Return the lines of a table, with its head first.
 
     Args:
         head: Titles of the columns.
-        rows: Cells of each row, as they are to be shown.
-        align: "l" or "r" for each column: at which side its cells stand; columns that are not named stand right.
+        rows: Cells of each row, as texts.
+        align: "l" or "r" for each column, the side at which its cells are aligned; further columns are aligned right.
     """
-    from tabulate import tabulate  # only where something is printed
+    from tabulate import tabulate  # imported only to print a table
 
     sides = [COLUMN_ALIGNMENTS[side] for side in align.ljust(len(head), "r")]
     cells = [[str(cell) for cell in row] for row in rows]
@@ -38,47 +38,47 @@ _QUIET_S: Final = 30.0
 
 @dataclass(frozen=True)
 class Console:
-    """Commentary and progress, which `--quiet` silences, and results, which it does not."""
+    """Output of a command: messages and progress, which `--quiet` silences, and results, which it does not."""
 
     quiet: bool = False
 
     def say(self, text: str) -> None:
-        """Print a line of commentary, unless quiet; above the bar where one is shown."""
+        """Print a message, unless quiet; above the progress bar if there is one."""
         if not self.quiet:
             with tqdm.external_write_mode():
                 typer.echo(text)
 
     def warn(self, text: str) -> None:
-        """Print a line on something that may make a result wrong, always, and beside the results: on standard error."""
+        """Print a warning that a result may be wrong, always, on standard error."""
         with tqdm.external_write_mode():
             typer.echo(f"warning: {text}", err=True)
 
     def result(self, text: str) -> None:
-        """Print a line that the command was run for, always."""
+        """Print a line of the result, always."""
         typer.echo(text)
 
     def document(self, value: Any) -> None:
-        """Print what the command was run for as one JSON document, always."""
+        """Print the result as one JSON document, always."""
         typer.echo(json.dumps(value, indent=1, allow_nan=False))
 
     def bar(self, items: Iterable[T] | None = None, *, total: int | None = None, unit: str, label: str) -> "tqdm[T]":
-        """Make a progress bar with rate and time left; where there is no terminal it prints lines.
+        """Return a progress bar with rate and remaining time; without a terminal it prints lines.
 
         Args:
-            items: What it goes through; None: it is updated by hand.
+            items: Items to iterate over; None: the caller updates the bar.
             total: Number of steps; None: that of `items`, if it has a length.
-            unit: What a step is, in the singular.
-            label: What is being done.
+            unit: Name of a step, in the singular.
+            label: Description of the activity.
 
         Returns:
-            The bar, which gives the items; it draws nothing on a quiet console.
+            The bar, which yields the items; it draws nothing on a quiet console.
         """
         kind = tqdm if sys.stderr.isatty() else _Lines
         return kind(items, total=total, unit=unit, desc=label, disable=self.quiet, dynamic_ncols=True)
 
 
 class SilentConsole(Console):
-    """For callers in Python: what was found is what a function returns, and nothing is printed but warnings."""
+    """Console for callers in Python, which use return values: only warnings are printed."""
 
     def __init__(self) -> None:
         super().__init__(quiet=True)
@@ -91,30 +91,30 @@ class SilentConsole(Console):
 
 
 class _Lines(tqdm):  # type: ignore[misc]
-    """A bar for logs: a plain line each tenth of the way, or each half minute."""
+    """Progress bar for logs: a plain line for each tenth, or each half minute."""
 
     disable = True
-    """Until tqdm has begun: an interrupt may come before that, and `close` after it."""
+    """True until tqdm has started, because an interrupt before that calls `close`."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
-        self._told, self._told_at = 0, time.monotonic()
-        # tqdm must draw somewhere: here that is thrown away.
+        self._printed_count, self._printed_at = 0, time.monotonic()
+        # tqdm must draw to some file, which is discarded.
         super().__init__(*args, **{**options, "file": io.StringIO(), "mininterval": 0.5})
 
     def display(self, *_: Any, **__: Any) -> bool:
-        """Called by tqdm whenever a bar would be drawn anew."""
-        tenth = self.total and self.n - self._told >= self.total / 10
-        if tenth or time.monotonic() - self._told_at >= _QUIET_S:
+        """Called by tqdm whenever a bar would be redrawn."""
+        tenth = self.total and self.n - self._printed_count >= self.total / 10
+        if tenth or time.monotonic() - self._printed_at >= _QUIET_S:
             self._tell()
         return True
 
     def close(self) -> None:
-        if not self.disable and self.n != self._told:
+        if not self.disable and self.n != self._printed_count:
             self._tell()
         super().close()
 
     def _tell(self) -> None:
-        self._told, self._told_at = self.n, time.monotonic()
+        self._printed_count, self._printed_at = self.n, time.monotonic()
         elapsed = self.format_dict["elapsed"]
         words = f"{self.desc}: {self.n}"
         if self.total:
@@ -127,7 +127,7 @@ class _Lines(tqdm):  # type: ignore[misc]
 
 
 def counted(number: int, noun: str) -> str:
-    """A number of things in words: 1 image, 2 images."""
+    """Return a count with its noun: 1 image, 2 images."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
@@ -137,7 +137,7 @@ def disk_size(size: float) -> str:
 
 
 def minutes(seconds: float) -> str:
-    """A duration as people say it: 40 s, 12 min, 3.5 h."""
+    """Return a duration in words: 40 s, 12 min, 3.5 h."""
     if seconds < 100:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"

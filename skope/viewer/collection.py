@@ -1,5 +1,4 @@
-"""A collection to be looked at: splits with their vehicles, what a detector found in them, and where their pictures
-come from."""
+"""Collection of images for the viewer: splits with their vehicles, detections, and source of the images."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -22,14 +21,14 @@ _JPEG_QUALITY: Final = 90
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """The bytes of an image file, and what they are."""
+    """Bytes of an image file, and its media type."""
 
     media_type: str
     data: bytes = field(repr=False)
 
 
 def read_picture(path: Path) -> Picture:
-    """The picture in a file, or in a shard's member; a UserError says what is wrong with it."""
+    """Return the image in a file or in a shard's member; a UserError names the error in it."""
     media_type = _MEDIA_TYPES.get(path.suffix.lower())
     if media_type is None:
         return encoded(read_image(path))
@@ -37,7 +36,7 @@ def read_picture(path: Path) -> Picture:
 
 
 def encoded(pixels: NDArray[np.uint8]) -> Picture:
-    """(H, W, 3) RGB as a picture."""
+    """Return (H, W, 3) RGB as an image file."""
     done, data = cv2.imencode(
         ".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
     )
@@ -47,7 +46,7 @@ def encoded(pixels: NDArray[np.uint8]) -> Picture:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ShownSplit:
-    """A split, and what a detector found in its images."""
+    """Split with the detections in its images."""
 
     file: AnnotationFile
     results: tuple[Result, ...] = ()
@@ -55,14 +54,14 @@ class ShownSplit:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Collection:
-    """Everything that the page goes through, in the order of the splits and of their files."""
+    """All images of the page, in the order of the splits and of their files."""
 
     title: str
-    """Says what is seen: the dataset and its splits, or the detector and what it was run on."""
+    """Title: the dataset and its splits, or the detector and its input."""
     splits: tuple[ShownSplit, ...]
-    """At least one; all have the same keypoint scheme."""
+    """At least one split; all have the same keypoint scheme."""
     picture: Callable[[Image], Picture]
-    """Gives the picture of an image, or raises a UserError that says what is wrong with it."""
+    """Function that returns the file of an image, or raises a UserError that names the error in it."""
     truth: bool = True
     """Whether the vehicles in the files are ground truth; footage has none."""
     options: MetricOptions | None = None

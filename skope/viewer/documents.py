@@ -1,4 +1,4 @@
-"""The JSON that the page asks for: light rows of all images at once, vehicles of an image when it is shown, filters."""
+"""JSON documents for the page: compact rows of all images at once, vehicles of an image when it is shown, filters."""
 
 import bisect
 import itertools
@@ -25,7 +25,7 @@ UNKNOWN_VALUE: Final = "unknown"
 
 @dataclass(frozen=True, kw_only=True)
 class Quality:
-    """A quality of vehicles that has few values."""
+    """Property of vehicles with few values."""
 
     name: str
     values: Sequence[str]
@@ -40,9 +40,9 @@ ALL_QUALITIES: Final = (TYPE_QUALITY, OCCLUSION_QUALITY, HEIGHT_QUALITY)
 
 
 def kind_number(vehicle: Annotation, boxes: str) -> int:
-    """The number that stands for a vehicle's values of all `ALL_QUALITIES`, the last one counting in ones.
+    """Return the number that encodes a vehicle's values of all `ALL_QUALITIES`; the last one is the least significant.
 
-    `boxes` is which box counts, "full" or "visible".
+    `boxes` is the kind of box, "full" or "visible".
     """
     height = float(box_of(vehicle, boxes)[3])
     places = (
@@ -51,8 +51,8 @@ def kind_number(vehicle: Annotation, boxes: str) -> int:
         _band(height, BREAKDOWN_BANDS.heights_px, HEIGHT_QUALITY),
     )
     number = 0
-    for place, quality in zip(places, ALL_QUALITIES, strict=True):
-        number = number * len(quality.values) + place
+    for value_index, quality in zip(places, ALL_QUALITIES, strict=True):
+        number = number * len(quality.values) + value_index
     return number
 
 
@@ -61,7 +61,7 @@ def _band(value: float | None, edges: Sequence[float], quality: Quality) -> int:
 
 
 def described() -> list[dict[str, Any]]:
-    """`ALL_QUALITIES` as the page gets them."""
+    """Return `ALL_QUALITIES` for the page."""
     return [{"name": quality.name, "values": list(quality.values)} for quality in ALL_QUALITIES]
 
 
@@ -70,7 +70,7 @@ class ScoreSteps:
     """Resolution of the score threshold."""
 
     steps: int = 1000
-    """Score thresholds are whole numbers from 0 to this, so that browser and server mean the same."""
+    """Score thresholds are whole numbers from 0 to this, so that browser and server use the same values."""
     kept: int = 8
     """Maximum number of score thresholds with cached counts."""
 
@@ -84,7 +84,7 @@ IMAGE_FACETS: Final[dict[str, Callable[[Image], str | None]]] = {
     "recording": lambda image: None if image.recording is None else f"{image.site or '-'}/{image.recording}",
     "weather": lambda image: image.weather,
 }
-"""Facets that images are filtered by."""
+"""Properties for filtering images."""
 
 
 class Documents:
@@ -106,9 +106,9 @@ class Documents:
         return self._ends[-1]
 
     def index(self) -> dict[str, Any]:
-        """The title of the page, and a row of each image in columns: its name, what filters ask of it and its vehicles.
+        """Return the title of the page, and columns with a row per image: name, filter values and vehicles.
 
-        Vehicles are numbers, one for each kind of vehicle that a filter tells apart, each once.
+        Vehicles are numbers, one for each kind of vehicle that a filter distinguishes, each once.
         """
         options, scheme = self._collection.options, self._collection.splits[0].file.scheme
         return {
@@ -126,34 +126,34 @@ class Documents:
         }
 
     def _facet(self, name: str, value: Callable[[Image], str | None]) -> dict[str, Any]:
-        """The values of a field, and which of them each image has; -1 for none."""
+        """Return the values of a field, and the index of each image's value; -1 for none."""
         values = [
-            # Files of other tools leave the split to their name.
+            # Files of other tools specify the split only in their name.
             value(image) or (split.file.name if name == "split" else None) or None
             for split in self._collection.splits
             for image in split.file.images
         ]
         known = sorted({value for value in values if value is not None})
-        place = {value: i for i, value in enumerate(known)}
-        return {"name": name, "values": known, "of": [-1 if value is None else place[value] for value in values]}
+        index_of = {value: i for i, value in enumerate(known)}
+        return {"name": name, "values": known, "of": [-1 if value is None else index_of[value] for value in values]}
 
     def details(self, number: int) -> dict[str, Any]:
         """Return the overlays of an image and their texts."""
-        split, index = self._place(number)
+        split, index = self._split_of(number)
         return self._splits[split].details(index)
 
     def picture(self, number: int) -> Picture:
-        """The picture of an image; a UserError says what is wrong with it."""
-        split, index = self._place(number)
+        """Return the file of an image; a UserError names the error in it."""
+        split, index = self._split_of(number)
         return self._collection.picture(self._collection.splits[split].file.images[index])
 
-    def _place(self, number: int) -> tuple[int, int]:
-        """The split of an image, and its place in it."""
+    def _split_of(self, number: int) -> tuple[int, int]:
+        """Return the split of an image, and its index in it."""
         split = bisect.bisect_right(self._ends, number)
         return split, number - (self._ends[split - 1] if split else 0)
 
     def _scores(self, step: int) -> dict[str, Any]:
-        """Figures of the detections above a score threshold, image by image."""
+        """Return figures of the detections above a score threshold, image by image."""
         parts = [split.scores(step) for split in self._splits]
         return {name: [value for part in parts for value in part[name]] for name in parts[0]}
 
@@ -167,11 +167,11 @@ class _SplitDocuments:
         self._boxes = self._options.boxes if self._options else "full"
         groups = split.file.by_image()
         self._vehicles = [groups[image.id] for image in split.file.images]
-        others = split.file.road_users_by_image()
-        self._others = [others[image.id] for image in split.file.images]
+        road_users_by_image = split.file.road_users_by_image()
+        self._road_users = [road_users_by_image[image.id] for image in split.file.images]
         self._kinds = {a.id: kind_number(a, self._boxes) for a in split.file.annotations}
         if self._options:
-            # A detection takes the same vehicle whatever scores below it, so one matching is right at every threshold.
+            # Lower scores do not affect which vehicle a detection matches, so one matching is valid at every threshold.
             options = replace(self._options, score=0.0)
             self._matches = match_split(split.file, split.results, options)
             self._outcomes = outcomes_at(self._matches, options.loosest, options)
@@ -179,7 +179,7 @@ class _SplitDocuments:
             self._false = false_detections(self._matches, self._outcomes)
 
     def kinds(self) -> list[list[int]]:
-        """The kinds of vehicles of each image that are not ignored."""
+        """Return the kinds of vehicles of each image that are not ignored."""
         return [sorted({self._kinds[a.id] for a in vehicles if not a.ignored}) for vehicles in self._vehicles]
 
     def details(self, index: int) -> dict[str, Any]:
@@ -189,7 +189,7 @@ class _SplitDocuments:
             "size": [image.width, image.height],
             "facts": _facts(image, self._split.file.name),
             "vehicles": [self._vehicle(a) | found.get(a.id, {}) for a in vehicles],
-            "others": [self._drawn(user) | {"category": user.category} for user in self._others[index]],
+            "others": [self._drawn(user) | {"category": user.category} for user in self._road_users[index]],
             "detections": self._detections(index) if self._options else [],
         }
 
@@ -197,7 +197,7 @@ class _SplitDocuments:
         return self._drawn(vehicle) | {"points": _rounded(vehicle.keypoints), "kind": self._kinds[vehicle.id]}
 
     def _drawn(self, label: Annotation | RoadUser) -> dict[str, Any]:
-        """Drawing and words for a road user of any category."""
+        """Return drawing and description of a road user of any category."""
         return {
             "box": _rounded(box_of(label, self._boxes)),
             "words": draw.words_of(label),
@@ -239,9 +239,9 @@ class _SplitDocuments:
         }
 
     def scores(self, step: int) -> dict[str, list[Any]]:
-        """Return per image: detections above a threshold, false positives, missed vehicles by kind, quality.
+        """Return per image: detections above a threshold, false positives, missed vehicles by kind, and quality.
 
-        Quality is None where nothing is labelled. Without ground truth there are detections only.
+        Quality is None if nothing is labelled. Without ground truth there are only detections.
         """
         assert self._options
         options = replace(self._options, score=step / SCORE_STEPS_KEPT.steps)
@@ -264,13 +264,13 @@ class _SplitDocuments:
 
 
 def _of_image(numbers: Integers, index: int) -> range:
-    """Rows of an image's entries in a sorted column of image numbers."""
+    """Return the rows of an image's entries in a sorted column of image numbers."""
     first, last = np.searchsorted(numbers, [index, index + 1])
     return range(int(first), int(last))
 
 
 def _step_of(score: float) -> int:
-    """The lowest threshold step that a score does not lie above: it counts at every step below this one."""
+    """Return the lowest threshold step that a score does not exceed: it counts at every step below this."""
     return int(np.searchsorted(SCORE_THRESHOLDS, score, side="left"))
 
 
@@ -279,8 +279,8 @@ def _rounded(values: Array) -> list[float]:
 
 
 def _facts(image: Image, split: str) -> list[list[str]]:
-    """Facts about an image, in words: name and value."""
-    told: Sequence[tuple[str, object]] = (
+    """Return facts about an image as texts: name and value."""
+    facts: Sequence[tuple[str, object]] = (
         ("size", f"{image.width}x{image.height}"),
         ("split", image.split or split),
         ("site", image.site),
@@ -290,4 +290,4 @@ def _facts(image: Image, split: str) -> list[list[str]]:
         ("weather", image.weather),
         ("sun's elevation", None if image.sun_elevation_deg is None else f"{image.sun_elevation_deg:.0f}°"),
     )
-    return [[name, str(value)] for name, value in told if value not in (None, "")]
+    return [[name, str(value)] for name, value in facts if value not in (None, "")]

@@ -27,7 +27,7 @@ class ServerLimits:
     """Port and largest request of a local server."""
 
     port: int = 8033
-    """Port that is taken if it is free."""
+    """Port that is used if it is free."""
     request_bytes: int = 1 << 25
     """Maximum size of a request, bytes."""
 
@@ -47,14 +47,14 @@ SHARED_FILES: Final = {
 """Files that every page has: path -> package, name and media type."""
 LOCAL_HOST: Final = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
 SAFE_HEADERS: Final = {
-    # The page asks this server alone, runs its own script alone, and stands in no other page.
+    # The page contacts only this server, runs only its own script, and is not embedded in other pages.
     "Content-Security-Policy": "default-src 'none'; img-src data:; style-src 'self'; script-src 'self'; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cross-Origin-Opener-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
-    # The data may be made anew, and another page may be shown at the same address tomorrow.
+    # The data may change, and another page may be shown at the same address tomorrow.
     "Cache-Control": "no-store",
 }
 
@@ -64,7 +64,7 @@ S = TypeVar("S", bound="LocalServer")
 
 
 class LocalServer(ThreadingHTTPServer):
-    """A server that listens on this machine's own address; each request has its thread."""
+    """Server that listens on this machine's own address, with a thread per request."""
 
     daemon_threads = True
 
@@ -78,10 +78,10 @@ class LocalServer(ThreadingHTTPServer):
 
 
 class LocalHandler(BaseHTTPRequestHandler):
-    """Answers what `answer_to` and, where requests may bring something along, `answer_to_post` know, and no more."""
+    """Request handler for the paths that `answer_to` and, if permitted, `answer_to_post` know."""
 
     posts = False
-    """Whether requests may bring something along."""
+    """Whether requests may contain data."""
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "skope", ""
     timeout = 60
@@ -91,11 +91,11 @@ class LocalHandler(BaseHTTPRequestHandler):
         raise NotImplementedError
 
     def answer_to_post(self, path: str, data: bytes) -> tuple[int, str, bytes] | None:
-        """Status, media type and content of the answer to what was sent to a path; None for any other path."""
+        """Return status, media type and content of the answer to data sent to a path; None for an unknown path."""
         raise NotImplementedError
 
     def do_GET(self) -> None:
-        if not self._is_own():
+        if not self._is_same_origin():
             return
         try:
             answer = self.answer_to(self.path)
@@ -109,11 +109,11 @@ class LocalHandler(BaseHTTPRequestHandler):
             self._refuse()
             return
         length = self.headers.get("Content-Length", "")
-        # Until what it brings is read, nothing else can follow a request.
+        # No other request can follow until the data is read.
         self.close_connection, kept_open = True, not self.close_connection
-        if not self._is_own():
+        if not self._is_same_origin():
             return
-        # Forms of other pages can send neither this type nor, without saying so, their own origin.
+        # Forms of other pages cannot send this type, and always state their own origin.
         if self.headers.get("Origin") is None or self.headers.get("Content-Type") != JSON_TYPE:
             self.send_error(HTTPStatus.FORBIDDEN, "is for this server's own page")
             return
@@ -135,8 +135,8 @@ class LocalHandler(BaseHTTPRequestHandler):
         else:
             self._send(*answer) if answer else self.send_error(HTTPStatus.NOT_FOUND)
 
-    def _is_own(self) -> bool:
-        """Whether a request comes by this server's own name and from no other page; says so where it does not."""
+    def _is_same_origin(self) -> bool:
+        """Return whether a request has this server's name and comes from no other page; otherwise send an error."""
         # A page of another origin that resolves to this address ("DNS rebinding") sends its own host name.
         hosts = self.headers.get_all("Host", [])
         if len(hosts) != 1 or not LOCAL_HOST.fullmatch(hosts[0].strip()):
@@ -149,7 +149,7 @@ class LocalHandler(BaseHTTPRequestHandler):
         return True
 
     def _refuse(self) -> None:
-        # What the request brings along is not read, so that nothing else can follow it.
+        # The data is not read, so that no other request can follow it.
         self.close_connection = True
         self.send_error(HTTPStatus.METHOD_NOT_ALLOWED)
 
@@ -183,11 +183,11 @@ class LocalHandler(BaseHTTPRequestHandler):
 
 
 def bound_to(make: Callable[[int], S], port: int | None) -> S:
-    """The server that `make` makes of a port.
+    """Return the server that `make` creates for a port.
 
     Args:
-        make: What makes it.
-        port: Where it listens; None: `SERVER_LIMITS.port`, or any free one where that is taken.
+        make: Function that creates the server.
+        port: Port; None: `SERVER_LIMITS.port`, or any free port if that is in use.
 
     Raises:
         UserError: `port` cannot be used.
@@ -204,11 +204,11 @@ def bound_to(make: Callable[[int], S], port: int | None) -> S:
 
 
 def serve_until_stopped(server: LocalServer, title: str, console: Console) -> None:
-    """Answer until Ctrl-C; title and address are printed in one line.
+    """Serve until Ctrl-C; title and address are printed on one line.
 
     Args:
-        server: Closed at the end.
-        title: What is served, for the line.
+        server: The server, which is closed at the end.
+        title: Description of the served page.
         console: Prints the line.
     """
     with server:
@@ -221,7 +221,7 @@ def serve_until_stopped(server: LocalServer, title: str, console: Console) -> No
 
 @lru_cache
 def served_page(template: str, name: str) -> bytes:
-    """A page from its template.
+    """Return a page from its template.
 
     Args:
         template: Path of the template below skope/.
@@ -232,5 +232,5 @@ def served_page(template: str, name: str) -> bytes:
 
 @lru_cache
 def read_resource(package: str, name: str) -> bytes:
-    """A file that comes with the package."""
+    """Return the content of a file of the package."""
     return resources.files(package).joinpath(name).read_bytes()

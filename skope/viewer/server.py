@@ -1,4 +1,4 @@
-"""The server of the viewer: it gives the page, its JSON and pictures by number, and nothing else."""
+"""Server of the viewer: the page, its JSON documents, and images by number."""
 
 import re
 from typing import Final
@@ -32,12 +32,12 @@ _SERVED_FILES: Final = SHARED_FILES | {
 
 
 def serve(collection: Collection, port: int | None, console: Console) -> None:
-    """Show a collection in the browser until Ctrl-C; the address is printed in one line.
+    """Serve a collection to the browser until Ctrl-C; the address is printed on one line.
 
     Args:
-        collection: What is shown.
-        port: Where the server listens; None: `SERVER_LIMITS.port`, or any free one where that is taken.
-        console: Where the address is printed.
+        collection: The images.
+        port: Port; None: `SERVER_LIMITS.port`, or any free port if that is in use.
+        console: Receives the address.
 
     Raises:
         UserError: `port` cannot be used.
@@ -49,12 +49,12 @@ def serve(collection: Collection, port: int | None, console: Console) -> None:
 
 
 def bound(documents: Documents, port: int | None) -> "ViewerServer":
-    """A server that listens; see `serve`."""
+    """Return a running server; see `serve`."""
     return bound_to(lambda free: ViewerServer(documents, free), port)
 
 
 class ViewerServer(LocalServer):
-    """The server of a collection's documents."""
+    """Server of a collection's documents."""
 
     def __init__(self, documents: Documents, port: int) -> None:
         self.documents = documents
