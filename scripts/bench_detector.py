@@ -6,18 +6,17 @@
     python scripts/bench_detector.py backbones --variants road33,resnet18-128-4x128 --rounds 20
 
 `metrics`: 3,000 images of 6 vehicles, all four IoU thresholds in both protocols, without AP (which pycocotools
-computes in any case). The peer is a straightforward loop over images, thresholds and vehicles with IoU from
-pycocotools.
+computes in any case). The peer is a plain loop over images, thresholds and vehicles, with IoU from pycocotools.
 
-`inference`: images per second against the stock model call of torchvision, image by image, with at most 100
-detections above 0.05 per image; --floor 0 makes them 100, as in crowded scenes.
+`inference`: images per second against torchvision's own model call, image by image, with at most 100 detections above
+0.05 per image; --floor 0 always gives 100, as in crowded scenes.
 
 `backbones`: the time of each part of a network, by backbone and widths, with the backend of `skope eval predict`.
-Weights are random: apart from the suppression of proposals, time hardly depends on them. The stages are the pyramid
-with the proposals' head; the proposals; the box head on all of them, and again on the vehicles (`box_passes` 2); the
-keypoint head on the vehicles; the peaks of its heat maps. Pooling of regions counts with the heads. Resizing and
-decoding of images do not count. The variants alternate, and the shortest time of each stage counts. Ratios are to the
-first variant, by default the network of `road33`.
+Weights are random; apart from the suppression of proposals, they hardly affect the time. The stages are the pyramid
+and the proposals' head; the proposals; the box head on all of them, and again on the vehicles (`box_passes` 2); the
+keypoint head on the vehicles; the peaks of its heat maps. A head includes its pooling of regions. Resizing and decoding
+of images are not included. The variants alternate, and the shortest time of each stage is reported. Ratios are relative
+to the first variant, by default the network of `road33`.
 """
 
 import argparse
@@ -54,11 +53,11 @@ from skope.terminal.console import Console
 
 VEHICLES = 6
 PART = 8
-"""Images that each way of running gets in turn."""
+"""Number of images per turn; the contenders take turns."""
 
 
 def synthetic_split(rng: np.random.Generator, count: int) -> tuple[AnnotationFile, list[Result]]:
-    """Vehicles in random places, found nine times of ten and some pixels off, and a false detection per image."""
+    """Vehicles at random positions, of which 90% are detected with small errors, and one false detection per image."""
     images = tuple(Image(id=i, file_name=f"{i}.jpg", width=1920, height=1080) for i in range(count))
     annotations, results = [], []
     for image in images:
@@ -84,7 +83,7 @@ def synthetic_split(rng: np.random.Generator, count: int) -> tuple[AnnotationFil
 
 
 def loops(file: AnnotationFile, results: list[Result]) -> dict[str, Any]:
-    """The table's figures as one would first write them down."""
+    """Compute the same figures with plain loops."""
     truth: dict[int, list[Annotation]] = {image.id: [] for image in file.images}
     ignored: dict[int, list[Annotation]] = {image.id: [] for image in file.images}
     found: dict[int, list[Result]] = {image.id: [] for image in file.images}
@@ -150,7 +149,7 @@ def loops(file: AnnotationFile, results: list[Result]) -> dict[str, Any]:
 
 
 class Stock:
-    """torchvision's own call, image by image, as its users write it."""
+    """torchvision's own model call, one image at a time."""
 
     def __init__(self, checkpoint: Path, device: torch.device, floor: float) -> None:
         self._model, _, _ = load_weights(find_checkpoint(checkpoint), device)
@@ -174,20 +173,20 @@ class Stock:
 
 
 def _apart(stock: list[Result], ours: list[Result], score: float) -> str:
-    """How far the detections above `score` are from the nearest ones of the same image."""
-    theirs, own = (_by_image([r for r in results if r.score > score]) for results in (stock, ours))
-    counts = [sum(map(len, each.values())) for each in (theirs, own)]
-    if {k: len(v) for k, v in theirs.items()} != {k: len(v) for k, v in own.items()}:
-        return f"{counts[0]} and {counts[1]} detections above {score:g}: not the same"
+    """Describe how far the detections above `score` differ from the nearest ones in the same image."""
+    stock_by_image, ours_by_image = (_by_image([r for r in results if r.score > score]) for results in (stock, ours))
+    counts = [sum(map(len, each.values())) for each in (stock_by_image, ours_by_image)]
+    if {k: len(v) for k, v in stock_by_image.items()} != {k: len(v) for k, v in ours_by_image.items()}:
+        return f"{counts[0]} and {counts[1]} detections above {score:g}: different numbers"
     boxes = points = 0.0
-    for image, found in theirs.items():
-        corners = np.array([r.bbox for r in own[image]])
+    for image, found in stock_by_image.items():
+        corners = np.array([r.bbox for r in ours_by_image[image]])
         nearest = [int(np.abs(corners - r.bbox).max(axis=1).argmin()) for r in found]
         if len(set(nearest)) < len(nearest):
-            return f"as many detections above {score:g} in image {image}, but not the same"
-        for one, other in zip(found, (own[image][i] for i in nearest), strict=True):
-            boxes = max(boxes, float(np.abs(np.subtract(one.bbox, other.bbox)).max()))
-            points = max(points, float(np.abs(one.keypoints - other.keypoints)[:, :2].max()))
+            return f"the same number of detections above {score:g} in image {image}, but different ones"
+        for first, second in zip(found, (ours_by_image[image][i] for i in nearest), strict=True):
+            boxes = max(boxes, float(np.abs(np.subtract(first.bbox, second.bbox)).max()))
+            points = max(points, float(np.abs(first.keypoints - second.keypoints)[:, :2].max()))
     return f"the same {counts[1]} detections above {score:g}; boxes {boxes:.1e}, points {points:.1e} px apart"
 
 
@@ -218,7 +217,7 @@ SMALLEST_PX: Final = 20
 
 
 class Variant:
-    """A network, handed over to a backend, and the image and vehicles that it looks at."""
+    """A network prepared for a backend, and the image and vehicles that it processes."""
 
     def __init__(self, name: str, options: argparse.Namespace) -> None:
         height, width = options.size
@@ -244,7 +243,7 @@ class Variant:
 
     @torch.inference_mode()
     def look(self) -> dict[str, float]:
-        """Seconds of each stage of one look at the image."""
+        """Process the image once; returns the seconds of each stage."""
         heads, sizes = self._model.roi_heads, self._image.image_sizes
         spent: dict[str, float] = {}
 
@@ -270,7 +269,7 @@ class Variant:
 
 
 def vehicles(number: int, height: int, width: int) -> torch.Tensor:
-    """(number, 4) boxes of many sizes, pixels inside the network."""
+    """Return boxes (number, 4) of varying size, in pixels inside the network."""
     rng = np.random.default_rng(0)
     sides = np.exp(rng.uniform(np.log(SMALLEST_PX), np.log(max(height / 4, SMALLEST_PX)), (number, 1))) * [1.2, 1.0]
     corners = rng.uniform(0, 1, (number, 2)) * (np.array([width, height]) - sides)
@@ -278,7 +277,7 @@ def vehicles(number: int, height: int, width: int) -> torch.Tensor:
 
 
 def size(text: str) -> tuple[int, int]:
-    """Height and width, multiples of 32."""
+    """Parse an image size: height and width, multiples of 32."""
     height, _, width = text.partition("x")
     if not (height.isdecimal() and width.isdecimal()) or int(height) % 32 or int(width) % 32:
         raise argparse.ArgumentTypeError(f"expected HEIGHTxWIDTH in multiples of 32, got {text!r}")
@@ -286,7 +285,7 @@ def size(text: str) -> tuple[int, int]:
 
 
 def names(text: str) -> list[str]:
-    """Some of the variants."""
+    """Parse a list of variants."""
     chosen = text.split(",")
     if unknown := [name for name in chosen if name not in VARIANTS]:
         raise argparse.ArgumentTypeError(f"{unknown[0]!r} is not one of {', '.join(VARIANTS)}")
@@ -294,7 +293,7 @@ def names(text: str) -> list[str]:
 
 
 def bench_metrics(options: argparse.Namespace) -> None:
-    """Time of the metrics and of plain loops, and how far their figures are apart."""
+    """Compare the time and the figures of the metrics with those of plain loops."""
     images = options.images
     file, results = synthetic_split(np.random.default_rng(0), images)
     rounds = [timed(lambda: score_split(file, results, MetricOptions())["iou"]) for _ in range(5)]
@@ -307,11 +306,11 @@ def bench_metrics(options: argparse.Namespace) -> None:
             worst = max(worst, *(abs(a - b) for a, b in pairs))
     print(f"metrics of {images} images x {VEHICLES} vehicles, {len(results)} results")
     print(f"  skope      {fast:8.3f} s")
-    print(f"  loops      {slow:8.2f} s, {slow / fast:.0f} times as long; apart by at most {worst:.1e}")
+    print(f"  loops      {slow:8.2f} s, {slow / fast:.0f} times as long; figures differ by at most {worst:.1e}")
 
 
 def bench_inference(options: argparse.Namespace) -> None:
-    """Images per second of skope and of torchvision's call, and how far their results are apart."""
+    """Compare the speed and the results of skope with those of torchvision's model call."""
     checkpoint, data, score, device = options.checkpoint, options.data, options.score, options.device
     file = take(open_dataset(data).read(options.split), options.images)
     where, quiet = choose_device(device), Console(quiet=True)
@@ -329,8 +328,8 @@ def bench_inference(options: argparse.Namespace) -> None:
     seconds = dict.fromkeys(ways, 0.0)
     found: dict[str, list[Result]] = {name: [] for name in ways}
     for way in ways.values():
-        way.split(parts[0], data)  # warms the libraries up
-    for part in parts:  # in turn, so that other load falls on all ways
+        way.split(parts[0], data)  # warms up the libraries
+    for part in parts:  # alternate, so that other load affects all ways equally
         for name, way in ways.items():
             begun = time.perf_counter()
             found[name] += way.split(part, data)
@@ -349,7 +348,8 @@ def bench_inference(options: argparse.Namespace) -> None:
         print(f"PCK@0.1 at IoU 0.6 {pck} of {figures['labelled']}")
     for name in list(ways)[1:3]:
         print(f"  {name}: {_apart(found['torchvision'], found[name], score)}")
-    # Rounding decides which vehicles score just above the threshold; the ground truth's boxes show keypoints alone.
+    # Rounding decides which vehicles score just above the threshold, so keypoints are also compared in ground-truth
+    # boxes.
     shares = {}
     for precision in ("float32", "bfloat16"):
         found_in_given = predictor(given=True, precision=precision).split(file, data)
@@ -360,7 +360,7 @@ def bench_inference(options: argparse.Namespace) -> None:
 
 
 def bench_backbones(options: argparse.Namespace) -> None:
-    """Milliseconds of each part of the variants."""
+    """Time each part of the variants, in milliseconds."""
     made = {name: Variant(name, options) for name in options.variants}
     looks = in_turn({name: variant.look for name, variant in made.items()}, options.rounds)
     best = {name: {stage: min(look[stage] for look in each) for stage in STAGES} for name, each in looks.items()}
@@ -387,7 +387,7 @@ def main() -> None:
     inference.add_argument("--split", default="hard")
     inference.add_argument("--images", type=int, default=24)
     inference.add_argument("--score", type=float, default=0.9)
-    inference.add_argument("--floor", type=float, default=0.05, help="torchvision's own; 0 fills its 100 per image")
+    inference.add_argument("--floor", type=float, default=0.05, help="torchvision's lowest score; 0: 100 per image")
     inference.add_argument("--device", default="auto")
     inference.set_defaults(run=bench_inference)
     backbones = commands.add_parser("backbones", help="parts of a network by backbone and widths")

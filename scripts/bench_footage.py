@@ -2,29 +2,29 @@
 
     skope gen video t06_plaza_opening --fps 10 --seconds 12 --out footage     # and other sites
     python scripts/bench_footage.py ways footage --frames 12
-    python scripts/bench_footage.py ways footage --stages                     # where the time of an image goes
+    python scripts/bench_footage.py ways footage --stages                     # time of each stage of an image
     python scripts/bench_footage.py ways footage --device cuda --sizes 1080 --ways torchvision,torch-bfloat16 --times 8
     python scripts/bench_footage.py steps crossing.mp4 --camera crossing.json
     python scripts/bench_footage.py curve runs/curve --rows road33@540@key,road33-lite@540@every
     python scripts/bench_footage.py live footage/t06_plaza_opening.mp4 --fps 10 --minutes 30
 
 `ways`: torchvision's own call, image by image; skope's backends and number formats on every frame; and `video`, the
-default of `skope eval predict`. Each runs in a process of its own, which has loaded the detector and processed a
-batch before the clock starts; decoding counts. Use `--times` where a clip is over before pipelines are full. Memory
-is the process's, on a GPU the GPU's. Every frame is scored at IoU 0.6 (research/footage_scores.py): what `skope eval
-predict` writes, after frames have confirmed each other, and for torchvision's call the detections above 0.5.
+default of `skope eval predict`. Each runs in a process of its own. The clock starts after it has loaded the detector
+and processed one batch; decoding is included. Use `--times` if a clip ends before the pipelines are full. Memory is
+that of the process, or on a GPU that of the GPU. Every frame is scored at IoU 0.6 (research/footage_scores.py): the
+confirmed detections that `skope eval predict` writes, and for torchvision's call the detections above 0.5.
 
 `steps`: seconds of `skope eval predict`, `track` and `pose`, seconds of footage per second, and megabytes written.
 
 `curve`: a row is a detector, the short side inside the network, and `key` (default of `skope eval predict` on a CPU)
 or `every` (--every-frame). Missing clips (CLIPS) are generated: roads that no detector was trained on, in two groups.
-Images per second are over all clips, with decoding, camera shake and writing of results, without loading; memory is
-the peak of the process. Every frame and what `skope eval track` makes of them is scored; tracks are means over the
-clips of a group. The folder keeps what was measured.
+Images per second are over all clips and include decoding, camera shake and writing of results, but not loading; memory
+is the peak of the process. All frames are scored, and the tracks that `skope eval track` makes of them; figures of
+tracks are means over the clips of a group. The folder keeps the measurements.
 
-`live`: the video is sent again and again as a web camera would (MJPEG over HTTP, from JPEG files made before), and
-`skope eval predict` reads it in a process of its own. The table has a row for each sixth of the time: lag from
-sending a frame to its results, frames passed over, memory.
+`live`: a simulated web camera sends the video repeatedly (MJPEG over HTTP, from JPEG files made in advance), and
+`skope eval predict` reads it in a process of its own. The table has a row for each sixth of the time: lag from sending
+a frame to its results, skipped frames, memory.
 """
 
 import argparse
@@ -111,7 +111,7 @@ def predictor_of(options: argparse.Namespace, way: str, size: int) -> Predictor:
 
 
 def clips(options: argparse.Namespace) -> list[tuple[Path, Footage]]:
-    """Label files and their footage."""
+    """Return the label files and their videos."""
     out = []
     for labels in sorted(options.footage.rglob("*.json")):
         times = [image.time_s or 0.0 for image in coco.read(labels).images]
@@ -121,7 +121,7 @@ def clips(options: argparse.Namespace) -> list[tuple[Path, Footage]]:
 
 
 def measured(options: argparse.Namespace) -> dict[str, Any]:
-    """One way at one size, in this process."""
+    """Measure one way at one size, in this process."""
     way, size = options.only.split("@")
     predictor = predictor_of(options, way, int(size))
     all_clips = clips(options)
@@ -134,7 +134,7 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
         begun = time.perf_counter()
         found = list(by_torchvision(predictor, job, options) if way == "torchvision" else ours(predictor, job, options))
         seconds += time.perf_counter() - begun
-        rows = [(image, list(apart(each)[0])) for image, each in found]  # vehicles alone are scored
+        rows = [(image, list(apart(each)[0])) for image, each in found]  # only vehicles are scored
         looked_at += len(rows)
         rows = rows[: len(rows) // options.times]
         score = SCORE if way == "torchvision" else 0.0
@@ -166,7 +166,7 @@ def frames(job: PredictJob, options: argparse.Namespace) -> Iterator[tuple[Image
 def by_torchvision(
     predictor: Predictor, job: PredictJob, options: argparse.Namespace
 ) -> Iterator[tuple[Image, list[Result]]]:
-    """The model as torchvision has it, with its 1000 proposals and every detection above 0.05."""
+    """Run the model with torchvision's defaults: 1000 proposals, and every detection above 0.05."""
     model, _, _ = load_weights(predictor.weights, options.device)
     config = predictor.config
     model.transform.min_size, model.transform.max_size = (config.min_size,), config.max_size
@@ -180,18 +180,18 @@ def by_torchvision(
 
 
 def kept(way: str, rows: list[tuple[Image, list[Result]]], job: PredictJob) -> list[Result]:
-    """The results that count."""
+    """Return the results that are scored."""
     if way == "torchvision":
         return [result for _, found in rows for result in found]
     confirmation = Confirmation(SCORE, every=job.key_every)
     for image, found in rows:
         confirmation.add(image.time_s or 0.0, found)
     stay = zip(rows, confirmation.confirmed(), strict=True)
-    return [one for (_, found), flags in stay for one in itertools.compress(found, flags)]
+    return [result for (_, found), flags in stay for result in itertools.compress(found, flags)]
 
 
 def stages(options: argparse.Namespace, way: str, size: int) -> dict[str, float]:
-    """Seconds an image in each stage, of the first clip."""
+    """Return the seconds per image of each stage, measured on the first clip."""
     predictor = predictor_of(options, way, size)
     spent: dict[str, float] = defaultdict(float)
     begun: dict[str, float] = {}
@@ -215,13 +215,13 @@ def stages(options: argparse.Namespace, way: str, size: int) -> dict[str, float]
         predictor.detections(batch)
     whole = now() - since
     spent["proposals"] -= spent["proposals' head"]
-    spent["the rest"] = whole - sum(spent.values())
+    spent["other"] = whole - sum(spent.values())
     number = len(frames) - len(batches[0])
-    return {name: seconds / number for name, seconds in {**spent, "together": whole}.items()}
+    return {name: seconds / number for name, seconds in {**spent, "total": whole}.items()}
 
 
 def eval_seconds(*arguments: object) -> float:
-    """Seconds of a command of `skope eval`, without the start of a process."""
+    """Time a command of `skope eval`, without the start of the process."""
     sys.argv = ["skope", "eval", *map(str, arguments), "-q"]
     with contextlib.redirect_stdout(io.StringIO()):
         begun = time.perf_counter()
@@ -232,17 +232,17 @@ def eval_seconds(*arguments: object) -> float:
 
 @dataclass(frozen=True)
 class ClipPlan:
-    """A clip and how it is made."""
+    """A clip, and the conditions that it is generated with."""
 
     site: str
     weather: str
     hour: str
     group: str
-    """`day`: seven by day, also in rain. `other`: four by night, in fog and in snow."""
+    """`day`: seven clips by day, including rain. `other`: four clips at night, in fog and in snow."""
 
     @property
     def name(self) -> str:
-        """The name of its folder."""
+        """Name of the clip's folder."""
         return f"{self.site}_{self.weather}_{self.hour}"
 
 
@@ -267,7 +267,7 @@ CURVE_COLUMNS: Final = (
 
 
 def make(clip: ClipPlan, folder: Path, options: argparse.Namespace) -> Path:
-    """A clip's file of labels, made if it is missing; the video lies beside it."""
+    """Return the label file of a clip, generated if it is missing. The video lies beside it."""
     labels = folder / "clips" / clip.name / f"{clip.site}.json"
     if not labels.is_file():
         words = f"gen video {clip.site} --road-users --fov 80 -q --seconds {options.seconds} --fps {FPS} --seed 0"
@@ -281,7 +281,7 @@ def make(clip: ClipPlan, folder: Path, options: argparse.Namespace) -> Path:
 
 
 def folder_of(row: str, folder: Path) -> Path:
-    """The folder of a row's results."""
+    """Return the folder of a row's results."""
     return folder / "rows" / row.replace("/", "_")
 
 
@@ -300,7 +300,7 @@ def look(row: str, clips: Sequence[Path], out: Path) -> dict[str, float]:
             every_frame=way == "every",
         )
         ready = predictor.reporting(job.least_score)
-        if not looked_at:  # the first batch warms up what the others use
+        if not looked_at:  # the first batch warms up what later batches use
             ready.detections([pixels for _, (_, pixels) in zip(range(1), job.footage.frames(), strict=False)])
         begun = time.perf_counter()
         claim(job, predictor.files)
@@ -312,7 +312,7 @@ def look(row: str, clips: Sequence[Path], out: Path) -> dict[str, float]:
 
 
 def figures(clips: Sequence[Path], out: Path) -> dict[str, Any]:
-    """Accuracy of detections and tracks in the clips of a group."""
+    """Compute the accuracy of detections and tracks in the clips of a group."""
     total, rows = Counts(), []
     for labels in clips:
         truth = coco.read(labels)
@@ -332,7 +332,7 @@ def _mean(rows: Sequence[Row], name: str) -> str:
 
 
 def row_figures(row: str, clips: Sequence[tuple[ClipPlan, Path]], folder: Path) -> dict[str, Any]:
-    """Figures of a row, measured unless the folder has them."""
+    """Return the figures of a row, measured unless the folder already has them."""
     out = folder_of(row, folder)
     kept = out / "figures.json"
     if not kept.is_file():
@@ -352,15 +352,15 @@ _MEMORY_EVERY_S: Final = 2.0
 
 @dataclass
 class Camera:
-    """A web camera that repeats a video."""
+    """A simulated web camera that repeats a video."""
 
     jpegs: list[bytes]
     fps: float
     sent_s: list[float] = field(default_factory=list)
-    """When each frame of the newest connection was sent."""
+    """Time at which each frame of the newest connection was sent."""
 
     def serve(self, server: socket.socket) -> None:
-        """Answer one client after another until the server is closed."""
+        """Serve one client at a time until the server is closed."""
         with contextlib.suppress(OSError):
             while True:
                 client = server.accept()[0]
@@ -385,9 +385,9 @@ class Seen:
     """Results and memory of a run on the stream."""
 
     frames: list[tuple[int, float, float]] = field(default_factory=list)
-    """Number of a frame, when its results were there, and how long after it was sent that was, seconds."""
+    """Frame number, time of its results, and their delay after the frame was sent, seconds."""
     memory: list[tuple[float, float]] = field(default_factory=list)
-    """When, and resident megabytes of the process."""
+    """Time, and resident memory of the process in megabytes."""
 
 
 def watch(process: subprocess.Popen[bytes], progress: Path, camera: Camera) -> Seen:
@@ -413,7 +413,7 @@ def watch(process: subprocess.Popen[bytes], progress: Path, camera: Camera) -> S
 
 
 def stream_rows(seen: Seen) -> Iterator[Sequence[str]]:
-    """The cells of a row for each part of the time."""
+    """Yield a row of cells for each part of the time."""
     if not seen.frames:
         return
     begun, end = seen.frames[0][1], seen.frames[-1][1]
@@ -437,7 +437,7 @@ def stream_rows(seen: Seen) -> Iterator[Sequence[str]]:
 
 
 def bench_ways(options: argparse.Namespace) -> None:
-    """Images per second, memory and accuracy of each way of running a detector."""
+    """Compare the speed, memory and accuracy of the ways to run a detector."""
     if options.only:
         print(json.dumps(measured(options)))
         return
@@ -450,12 +450,12 @@ def bench_ways(options: argparse.Namespace) -> None:
         return
     print_head(("way", "short side", "images/s", "memory, MB", *COLUMNS))
     for size, way in itertools.product(sizes, ways):
-        one = in_own_process("--only", f"{way}@{size}")
-        print_row((way, size, f"{one['rate']:.2f}", f"{one['memory_mb']:.0f}", *one["cells"]))
+        result = in_own_process("--only", f"{way}@{size}")
+        print_row((way, size, f"{result['rate']:.2f}", f"{result['memory_mb']:.0f}", *result["cells"]))
 
 
 def bench_steps(options: argparse.Namespace) -> None:
-    """Time from videos to tracks in metres, and size of the results."""
+    """Time the steps from videos to metric tracks, and measure the size of the results."""
     print("video                 step      seconds  footage s/s      MB")
     for video in options.videos:
         with tempfile.TemporaryDirectory() as name:
@@ -472,7 +472,7 @@ def bench_steps(options: argparse.Namespace) -> None:
 
 
 def bench_curve(options: argparse.Namespace) -> None:
-    """Accuracy and speed of each row, by group of clips."""
+    """Compare the accuracy and speed of each row, by group of clips."""
     if options.look:
         print(json.dumps(look(options.look, options.paths, folder_of(options.look, options.folder))))
         return
@@ -482,13 +482,13 @@ def bench_curve(options: argparse.Namespace) -> None:
     for row in options.rows.split(","):
         found = row_figures(row, clips, options.folder)
         checkpoint, short, way = row.rsplit("@", 2)
-        for group, one in found["groups"].items():
+        for group, group_figures in found["groups"].items():
             rate, memory = f"{found['rate']:.2f}", f"{found['memory_mb']:.0f}"
-            print_row((Path(checkpoint).stem, short, way, rate, memory, group, *one["cells"]))
+            print_row((Path(checkpoint).stem, short, way, rate, memory, group, *group_figures["cells"]))
 
 
 def bench_live(options: argparse.Namespace) -> None:
-    """Lag, frames passed over and memory of `skope eval predict` on a live stream."""
+    """Measure the lag, the skipped frames and the memory of `skope eval predict` on a live stream."""
     capture, jpegs = cv2.VideoCapture(str(options.video)), []
     while (frame := capture.read()[1]) is not None:
         jpegs.append(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes())
@@ -499,7 +499,7 @@ def bench_live(options: argparse.Namespace) -> None:
         words += f" --end {60 * options.minutes} --checkpoint {options.checkpoint} --min-size {options.min_size}"
         process = subprocess.Popen([sys.executable, "-m", "skope", *words.split()])
         seen = watch(process, Path(folder) / ".predict.jsonl", camera)
-    print_head(("minutes", "images/s", "passed over", "lag, s: median", "95%", "most", "memory, MB"))
+    print_head(("minutes", "images/s", "skipped", "lag, s: median", "95%", "max", "memory, MB"))
     for cells in stream_rows(seen):
         print_row(cells)
 
@@ -507,24 +507,24 @@ def bench_live(options: argparse.Namespace) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
-    ways = commands.add_parser("ways", help="ways of running a detector")
-    ways.add_argument("footage", type=Path, help="folder of what `skope gen video` made")
+    ways = commands.add_parser("ways", help="ways to run a detector")
+    ways.add_argument("footage", type=Path, help="folder of videos and labels of `skope gen video`")
     ways.add_argument("--checkpoint", type=Path, default=Path("road33"))
     ways.add_argument("--sizes", default="360,540,720", help="short sides of images inside the network, pixels")
     ways.add_argument("--device", default="cpu")
     ways.add_argument("--ways", default=",".join(WAYS))
-    ways.add_argument("--stages", action="store_true", help="where the time of an image goes instead")
+    ways.add_argument("--stages", action="store_true", help="time the stages of an image instead")
     ways.add_argument("--frames", type=int, default=10**9, help="maximum number of frames of each clip")
     ways.add_argument("--times", type=int, default=1, help="passes over each clip, as if it were longer")
     ways.add_argument("--only", help=argparse.SUPPRESS)
     ways.set_defaults(run=bench_ways)
-    steps = commands.add_parser("steps", help="from a video to tracks in metres")
+    steps = commands.add_parser("steps", help="from a video to metric tracks")
     steps.add_argument("videos", nargs="+", type=Path)
     steps.add_argument("--camera", type=Path, required=True, help="camera file of the videos")
     steps.add_argument("--checkpoint", default="road33", help="as `skope eval predict` takes it")
     steps.set_defaults(run=bench_steps)
-    curve = commands.add_parser("curve", help="accuracy against time of detectors")
-    curve.add_argument("folder", type=Path, help="where clips and figures are kept")
+    curve = commands.add_parser("curve", help="accuracy of detectors against their time")
+    curve.add_argument("folder", type=Path, help="folder that keeps clips and figures")
     curve.add_argument("--rows", default="road33@540@key,road33-lite@540@every,road33-lite@540@key")
     curve.add_argument("--seconds", type=float, default=SECONDS, help="length of each clip")
     curve.add_argument("--size", default=SIZE, help="image size of the clips")

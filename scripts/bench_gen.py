@@ -62,7 +62,7 @@ from skope.gen.vehicles.model import Body
 SITE = "t01_main_west"
 PEERS = {"tiny": "TinyRenderer", "egl": "EGL plugin (draws 1024x768, enlarges it)"}
 DENSITY = 2
-"""Times the site's own traffic, so that there are enough vehicles to choose from in each frame."""
+"""Factor on the traffic of the site, so that each frame has enough vehicles to choose from."""
 STAGES = {
     "place and matrices": ["Placer.place"],
     "depth and ids": ["GLRenderer._draw_geometry", "renderer._put_vehicle"],
@@ -85,9 +85,9 @@ STAGES = {
 
 
 def with_vehicles(recording: Recording, count: int) -> Recording:
-    """The recording with `count` of the vehicles in each image, spread evenly from the nearest to the farthest.
+    """Keep `count` of the vehicles in each image, spread evenly from the nearest to the farthest.
 
-    No other road users are left.
+    Other road users are removed.
     """
     keep: list[int] = []
     for frame in range(len(recording)):
@@ -99,7 +99,7 @@ def with_vehicles(recording: Recording, count: int) -> Recording:
         windows = [window_of(hull, recording.camera) for hull in hulls]
         shown = [i for i in away.argsort(kind="stable") if windows[i]]
         if len(shown) < count:
-            raise SystemExit(f"{SITE}: only {len(shown)} vehicles in the image of frame {frame}, {count} are asked for")
+            raise SystemExit(f"{SITE}: only {len(shown)} of {count} requested vehicles in the image of frame {frame}")
         keep += sorted(first + shown[k] for k in np.linspace(0, len(shown) - 1, count).round().astype(int))
     names = ("frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
     return replace(recording, **{name: getattr(recording, name)[keep] for name in names})
@@ -109,7 +109,7 @@ def with_vehicles(recording: Recording, count: int) -> Recording:
 
 
 class Skope:
-    """What `skope gen` does for each frame, from the recording to the files."""
+    """The work of `skope gen` for each frame, from the recording to the files."""
 
     def __init__(self, recording: Recording, folder: Path, renderer: str) -> None:
         self.recording, self.store = recording, Store(folder)
@@ -121,7 +121,7 @@ class Skope:
 
 
 class Peer:
-    """One pybullet client with the whole scene in it; vehicles are moved and everything is drawn anew."""
+    """One pybullet client with the whole scene. Vehicles are moved, and everything is drawn again."""
 
     def __init__(self, recording: Recording, renderer: str, labels: bool) -> None:
         self.engine, self.recording, self.labels = engine(), recording, labels
@@ -139,7 +139,7 @@ class Peer:
     def add(self, mesh: Any) -> list[int]:
         bodies = []
         for material, part in mesh.by_material().items():
-            # The EGL plugin draws meshes from files only.
+            # The EGL plugin can only draw meshes from files.
             with tempfile.NamedTemporaryFile("w", suffix=".obj") as file:
                 np.savetxt(file, part.vertices, "v %.5f %.5f %.5f")
                 np.savetxt(file, part.normals, "vn %.4f %.4f %.4f")
@@ -202,16 +202,16 @@ class Peer:
 
 
 def work(make: Callable[[Recording], Callable[[int], None]], path: Path, start: Any, frames: int, out: Any) -> None:
-    """A process: gets ready, waits for the others, draws its frames."""
-    os.environ["LP_NUM_THREADS"] = "1"  # of the peers, if they draw with llvmpipe
+    """Run one process: prepare, wait for the other processes, then draw the frames."""
+    os.environ["LP_NUM_THREADS"] = "1"  # for peers that draw with llvmpipe
     cv2.setNumThreads(1)
     try:
         recording = recordings.load(path)
         draw = make(recording)
         for frame in range(len(recording) if isinstance(draw, Skope) else 1):
-            draw(frame)  # models are built and uploaded once
+            draw(frame)  # build and upload the models once
     except BaseException:
-        start.abort()  # or the others would wait for this one
+        start.abort()  # otherwise the other processes would wait for this one
         raise
     start.wait()
     begun = time.perf_counter()
@@ -223,7 +223,7 @@ def work(make: Callable[[Recording], Callable[[int], None]], path: Path, start: 
 def frames_per_second(
     make: Callable[[Recording], Callable[[int], None]], path: Path, processes: int, frames: int
 ) -> float:
-    """All processes' frames over the time from the first one's start to the last one's end."""
+    """Return the frames of all processes over the time from the first start to the last end."""
     context = multiprocessing.get_context("fork")
     start, out = context.Barrier(processes), context.Queue()
     workers = [context.Process(target=work, args=(make, path, start, frames, out)) for _ in range(processes)]
@@ -238,7 +238,10 @@ def frames_per_second(
 
 @contextmanager
 def timed_stages() -> Iterator[dict[str, float]]:
-    """Seconds by stage of what is drawn within; waiting for the device after each, their sum is a little larger."""
+    """Measure the seconds per stage of the drawing in this context.
+
+    It waits for the device after each stage, which makes the sum slightly larger.
+    """
     from skope.gen.output import frames as made
     from skope.gen.pipeline.dataset_store import Store
     from skope.gen.render import camera_effects
@@ -279,7 +282,7 @@ def timed_stages() -> Iterator[dict[str, float]]:
 
 
 def stage_table(path: Path, folder: Path, frames: int) -> dict[str, float]:
-    """Milliseconds a frame by stage."""
+    """Return the milliseconds per frame of each stage."""
     recording = recordings.load(path)
     draw = Skope(recording, folder, "gl")
     for frame in range(len(recording)):
@@ -291,7 +294,7 @@ def stage_table(path: Path, folder: Path, frames: int) -> dict[str, float]:
 
 
 class Writer(Peer):
-    """The peer, with its files."""
+    """The peer, which also writes its files."""
 
     def __init__(self, recording: Recording, renderer: str, folder: Path) -> None:
         super().__init__(recording, renderer, labels=True)
@@ -308,7 +311,7 @@ class Writer(Peer):
 
 
 def recorded_vehicles(dataset: Path) -> float:
-    """Of a frame, on average: traffic builds up in a long recording."""
+    """Return the mean number of vehicles per frame; traffic builds up in a long recording."""
     (path,) = (dataset / "recordings").iterdir()
     recording = recordings.load(path)
     return float(np.mean([len(recording.moment(frame).labelled().vehicles) for frame in range(len(recording))]))
@@ -318,7 +321,7 @@ STAGES_OF_WORLD = ("vehicle meshes", "town", "light", "drawing", "labels", "enco
 
 
 class Stages:
-    """Seconds of the stages of a run."""
+    """Seconds of each stage of a run."""
 
     def __init__(self) -> None:
         self.wall = dict.fromkeys(STAGES_OF_WORLD, 0.0)
@@ -326,7 +329,7 @@ class Stages:
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
-        """Count what is done within to a stage."""
+        """Add the time of this context to a stage."""
         wall, processor = time.perf_counter(), time.process_time()
         yield
         self.wall[stage] += time.perf_counter() - wall
@@ -334,14 +337,14 @@ class Stages:
 
 
 def skope(*words: str) -> float:
-    """Seconds of `skope gen` with some words."""
+    """Run `skope gen` with these arguments; returns its seconds."""
     begun = time.perf_counter()
     subprocess.run([sys.executable, "-m", "skope", "gen", *words, "--quiet"], check=True, stdout=subprocess.DEVNULL)
     return time.perf_counter() - begun
 
 
 def render_by_stages(root: Path, stages: Stages) -> int:
-    """Render the recordings of a dataset folder and complete it; returns how many vehicles were built."""
+    """Render the recordings of a dataset folder and complete it; returns the number of vehicles built."""
     store, built = Store(root), set[Body]()
     with store.locked():
         renderer, driver, _ = choose_renderer("auto")
@@ -387,16 +390,16 @@ def render_recording(store: Store, recording: Recording, spec: RenderJobSpec, st
 
 
 def simulated(path: Path, size: tuple[int, int], frames: int, light: str) -> None:
-    """Simulate a busy recording of `SITE`."""
+    """Simulate a recording of `SITE` with dense traffic."""
     weather, hour = light.split()
     busy = replace(site(SITE), vehicles_per_hour=DENSITY * site(SITE).vehicles_per_hour)
-    place = replace(busy, weather=weather, time_of_day=hour)
-    plan = RecordingPlan(site=place, index=0, frames=frames, interval=0.5, size=size, fov_deg=110, seed=0)
+    lit_site = replace(busy, weather=weather, time_of_day=hour)
+    plan = RecordingPlan(site=lit_site, index=0, frames=frames, interval=0.5, size=size, fov_deg=110, seed=0)
     recordings.save(path, simulate(plan))
 
 
 def bench_frames(options: argparse.Namespace, folder: Path) -> None:
-    """Frames per second, the stages of a frame, and the peers."""
+    """Measure the frames per second, the stages of a frame, and the peers."""
     width, height = map(int, options.size.split("x"))
     counts = [int(count) for count in options.vehicles.split(",")]
     full = options.recording
@@ -423,20 +426,20 @@ def bench_frames(options: argparse.Namespace, folder: Path) -> None:
         print(f"  {stage:<20} {milliseconds:7.1f}", flush=True)
     if options.skope_only:
         return
-    print(f"pybullet on the same recording, {middle} vehicles; how many times as fast skope, gl, to disk, is")
+    print(f"pybullet on the same recording, {middle} vehicles; speed of skope, gl, to disk, relative to it")
     for renderer, title in PEERS.items():
-        for labels, what in ((False, "colour, depth, ids"), (True, "and each vehicle alone")):
+        for labels, content in ((False, "colour, depth, ids"), (True, "and each vehicle alone")):
 
             def peer(recording: Recording, renderer: str = renderer, labels: bool = labels) -> Peer:
                 return Peer(recording, renderer, labels)
 
             frames = 2 if labels or renderer == "tiny" else 8
             rate = frames_per_second(peer, paths[middle], options.processes, frames)
-            print(f"  {title:<42} {what:<24} {rate:7.3f}   x{ours[middle] / rate:.1f}", flush=True)
+            print(f"  {title:<42} {content:<24} {rate:7.3f}   x{ours[middle] / rate:.1f}", flush=True)
 
 
 def bench_dataset(options: argparse.Namespace, folder: Path) -> None:
-    """Images per second from simulation to finished dataset, skope and the peers."""
+    """Measure the images per second from simulation to finished dataset, for skope and the peers."""
     if options.flat:
         bench_growth(options, folder)
         return
@@ -448,8 +451,8 @@ def bench_dataset(options: argparse.Namespace, folder: Path) -> None:
     (path,) = (data / "recordings").iterdir()
     print(f"{SITE}, {options.size}, {options.images} images, {recorded_vehicles(data):.1f} recorded vehicles in each,")
     print(f"{options.processes} processes; everything on disk, labels included")
-    print(f"  skope: simulation {simulation:.1f} s, rendering {rendering:.1f} s (of which lighting the scenery is done")
-    print(f"  once): {ours:.3f} images/s", flush=True)
+    print(f"  skope: simulation {simulation:.1f} s, rendering {rendering:.1f} s (the scenery is lit only once):")
+    print(f"  {ours:.3f} images/s", flush=True)
     for renderer, title in PEERS.items():
 
         def peer(recording: Recording, renderer: str = renderer) -> Callable[[int], None]:
@@ -461,7 +464,7 @@ def bench_dataset(options: argparse.Namespace, folder: Path) -> None:
 
 
 def bench_growth(options: argparse.Namespace, folder: Path) -> None:
-    """Time and memory of datasets of growing size."""
+    """Measure the time and memory of datasets of growing size."""
     size, workers = "320x180", str(options.processes)
     print(f"{SITE}, {size}, {workers} processes: cost of an image, after the scenery is lit")
     for count in (2, *map(int, options.flat.split(","))):
@@ -478,17 +481,17 @@ def bench_growth(options: argparse.Namespace, folder: Path) -> None:
 
 
 def bench_world(options: argparse.Namespace, folder: Path) -> None:
-    """Images per second of the preset `world`, and the stages of one process."""
+    """Measure the images per second of the preset `world`, and its stages in one process."""
     workers = ["--workers", str(options.processes)]
-    what = ["--preset", "world", "--sites", options.sites, "--frames", str(options.frames), "--size", options.size]
+    words = ["--preset", "world", "--sites", options.sites, "--frames", str(options.frames), "--size", options.size]
     simulated_s = 0.0
     if options.recordings:
         shutil.copytree(options.recordings, folder / "world")
     else:
-        simulated_s = skope("simulate", *what, "--no-depth", *workers, "--out", str(folder / "world"))
+        simulated_s = skope("simulate", *words, "--no-depth", *workers, "--out", str(folder / "world"))
     shutil.copytree(folder / "world", folder / "stages")
     rendered_s = skope("render", str(folder / "world"), *workers)
-    os.environ["SKOPE_CACHE"] = str(folder / "cache of the stages")  # empty, as the first one was
+    os.environ["SKOPE_CACHE"] = str(folder / "cache of the stages")  # empty, as in the first run
     stages = Stages()
     built = render_by_stages(folder / "stages", stages)
     plan = Store(folder / "stages").plan
@@ -496,7 +499,7 @@ def bench_world(options: argparse.Namespace, folder: Path) -> None:
     print(f"world, {parameters.size}, {images} images of {','.join(parameters.sites)}, {options.processes} processes")
     print(f"  simulation {simulated_s:.1f} s, rendering {rendered_s:.1f} s: ", end="")
     print(f"{images / (simulated_s + rendered_s):.3f} images/s")
-    print(f"  one process that renders, {built} vehicles built: seconds, and processor time per image, ms")
+    print(f"  rendering in one process, {built} vehicles built: seconds, and processor time per image, ms")
     for stage in STAGES_OF_WORLD:
         print(f"    {stage:<18} {stages.wall[stage]:8.2f} {1e3 * stages.processor[stage] / images:8.1f}")
     total = sum(stages.wall.values())
@@ -510,16 +513,18 @@ def main() -> None:
     frames.add_argument("--light", default="clear noon", help="weather and hour, such as 'rain night'")
     frames.add_argument("--vehicles", default="6,12,20", help="vehicles in each image")
     frames.add_argument("--frames", type=int, default=24, help="frames per process of skope")
-    frames.add_argument("--recording", type=Path, help="a recording of that site, instead of simulating one")
-    frames.add_argument("--skope-only", action="store_true", help="leave pybullet's renderers out")
+    frames.add_argument("--recording", type=Path, help="use this recording of that site instead of simulating one")
+    frames.add_argument("--skope-only", action="store_true", help="skip pybullet's renderers")
     dataset = commands.add_parser("dataset", help="simulation to finished dataset")
     dataset.add_argument("--images", type=int, default=100)
     dataset.add_argument("--peer-frames", type=int, default=2, help="frames per process of the peers")
     dataset.add_argument("--flat", help="numbers of images, separated by commas: cost of an image, at 320x180")
     world = commands.add_parser("world", help="stages of the preset `world`")
-    world.add_argument("--frames", type=int, default=96, help="per site; 96 are a group of four views")
-    world.add_argument("--sites", default="t01_mill_corner", help="of the split `train`, whose recordings share towns")
-    world.add_argument("--recordings", type=Path, help="folder that `skope gen simulate` made, where SUMO is missing")
+    world.add_argument("--frames", type=int, default=96, help="frames per site; 96 are a group of four views")
+    world.add_argument(
+        "--sites", default="t01_mill_corner", help="sites of the split `train`, whose recordings share towns"
+    )
+    world.add_argument("--recordings", type=Path, help="folder of `skope gen simulate`, if SUMO is not installed")
     for command, run, size in (
         (frames, bench_frames, "1920x1080"),
         (dataset, bench_dataset, "1920x1080"),

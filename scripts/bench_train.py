@@ -1,17 +1,17 @@
-"""Images per second of a training step, against torchvision's own reference loop, in one run on one machine.
+"""Images per second of a training step, compared with torchvision's own reference loop on the same machine.
 
     python scripts/bench_train.py --data data/skope                         (this machine's CPU)
     python scripts/bench_train.py --data data/skope --device cuda --amp --min-size 800 --steps 100
     torchrun --nproc-per-node 2 scripts/bench_train.py --data data/skope --device cuda --only skope --checkpoint RUN ...
 
 The reference is the loop of torchvision's references/detection (its dataset, transforms, data loader and
-train_one_epoch, written again here), its model Keypoint R-CNN with 33 keypoints, frozen norms and three trainable
-stages. Both contenders start from the same weights and learn the same images in the same order of size. Each runs in
-a process of its own, in turn with the other, so that neither has the other's memory or a quieter moment.
+train_one_epoch, reimplemented here), and its model Keypoint R-CNN with 33 keypoints, frozen norms and three trainable
+stages. Both contenders start from the same weights and train on the same images in the same order and size. They run
+alternately, each in a process of its own, so that memory and other load affect both equally.
 
-The number of proposals on vehicles decides how much work the keypoint head has. Both contenders therefore start from
-a trained detector, `road33` unless `--checkpoint` names another. The mean number of regions on vehicles per image is
-printed.
+The amount of work of the keypoint head depends on the number of proposals on vehicles. Both contenders therefore start
+from a trained detector, `road33` unless `--checkpoint` names another one. The mean number of regions on vehicles per
+image is printed.
 """
 
 import argparse
@@ -69,20 +69,20 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--amp", action="store_true", help="the reference's own --amp flag")
-    parser.add_argument("--batch-size", type=int, default=2, help="images a step, of each process")
+    parser.add_argument("--batch-size", type=int, default=2, help="images per step and process")
     parser.add_argument("--min-size", type=int, default=360)
     parser.add_argument("--steps", type=int, default=5, help="measured steps of each contender and round")
-    parser.add_argument("--warm-up", type=int, default=1, help="steps before them")
+    parser.add_argument("--warm-up", type=int, default=1, help="steps before the measured ones")
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--workers", type=int, default=None, help="loading processes (reference: 4 as in its script)")
     parser.add_argument("--set", action="append", default=[], help="a value of skope's recipe")
-    parser.add_argument("--each", action="store_true", help="also with each shortcut left out")
+    parser.add_argument("--each", action="store_true", help="also measure without each shortcut")
     parser.add_argument("--only", choices=("torchvision", "skope"), help="measure one, in this process, as JSON")
     return parser.parse_args()
 
 
 def recipe_of(options: argparse.Namespace) -> Recipe:
-    """What skope does by default with bounded keypoint regions, at the reference's input size."""
+    """Return skope's default recipe with bounded keypoint regions, at the reference's input size."""
     bfloat16 = options.device != "cpu" or has_bfloat16(torch.device("cpu"))
     laptop = dataclasses.replace(SHIPPED_RECIPES["laptop"], bfloat16=bfloat16, val_fraction=0.0)
     return adjusted_recipe(laptop.with_min_size(options.min_size), options.set)
@@ -92,7 +92,7 @@ def recipe_of(options: argparse.Namespace) -> Recipe:
 
 
 def measured(options: argparse.Namespace) -> dict[str, Any]:
-    """Rates and memory of one contender in this process."""
+    """Measure the speed and memory of one contender in this process."""
     torch.manual_seed(0)
     with distributed.process_group(torch.device(options.device)) as (processes, device):
         batches, learn, trained = (reference if options.only == "torchvision" else skope)(options, device, processes)
@@ -123,7 +123,7 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
 def reference(
     options: argparse.Namespace, device: torch.device, processes: ProcessGroup
 ) -> tuple[Batches, Callable[..., None], Any]:
-    """torchvision's references/detection: dataset, loader, and the body of engine.train_one_epoch."""
+    """Build torchvision's references/detection: dataset, loader, and the body of engine.train_one_epoch."""
     assert processes.size == 1, "the reference is measured in one process"
     backbone = resnet_fpn_backbone(backbone_name="resnet50", weights=None, trainable_layers=3)
     max_size = recipe_of(options).max_size
@@ -161,9 +161,9 @@ def reference(
 
 
 class ReferenceDataset(torch.utils.data.Dataset[Any]):
-    """CocoDetection, ConvertCocoPolysToMask and the preset `hflip` with the backend PIL, for boxes and keypoints.
+    """CocoDetection, ConvertCocoPolysToMask and the preset `hflip` (backend PIL), for boxes and keypoints.
 
-    The flip's keypoints are renamed by this scheme's table: the reference's own knows 17 of a person.
+    A flip renames keypoints by the table of this scheme, because the reference knows only the 17 points of a person.
     """
 
     def __init__(self, root: Path) -> None:
@@ -179,7 +179,7 @@ class ReferenceDataset(torch.utils.data.Dataset[Any]):
         boxes = torch.as_tensor([a.bbox.tolist() for a in vehicles], dtype=torch.float32).reshape(-1, 4)
         boxes[:, 2:] += boxes[:, :2]
         points = torch.as_tensor([a.keypoints.tolist() for a in vehicles], dtype=torch.float32)
-        points[points[..., 2] < 2] = 0  # skope's rule: visible points are learnt
+        points[points[..., 2] < 2] = 0  # as in skope, only visible points are learned
         if torch.rand(1) < 0.5:
             pixels = functional.hflip(pixels)
             boxes[:, [0, 2]] = image.width - boxes[:, [2, 0]]
@@ -192,7 +192,7 @@ class ReferenceDataset(torch.utils.data.Dataset[Any]):
 def skope(
     options: argparse.Namespace, device: torch.device, processes: ProcessGroup
 ) -> tuple[Batches, Callable[..., None], Any]:
-    """skope's own loading and step."""
+    """Build skope's loader and training step."""
     recipe = dataclasses.replace(recipe_of(options), batch_size=options.batch_size * processes.size)
     checkpoint = str(options.checkpoint)
     model, config, origin = init_weights.initialise(
@@ -222,13 +222,13 @@ def skope(
 
 
 def count(root: Path) -> int:
-    """Images with vehicles."""
+    """Count the images with vehicles."""
     file = open_dataset(root).read(splits.TRAINING_SPLIT)
     return len({a.image_id for a in file.annotations if not a.ignored})
 
 
 def order(options: argparse.Namespace, processes: ProcessGroup) -> list[list[int]]:
-    """The same draws of images with vehicles for both; of several processes each has its own."""
+    """Draw the images with vehicles, the same for both contenders. Each of several processes draws its own."""
     number = (options.warm_up + options.steps + 1) * options.batch_size
     generator = torch.Generator().manual_seed(processes.rank)
     drawn = torch.randint(count(options.data), (number,), generator=generator).tolist()
@@ -239,8 +239,10 @@ def order(options: argparse.Namespace, processes: ProcessGroup) -> list[list[int
 
 
 def count_vehicle_regions(model: KeypointRCNN) -> tuple[list[int], Callable[[], None]]:
-    """A list that fills with the regions on vehicles of each image, before any bound, and what ends that: to count
-    takes time."""
+    """Count the vehicle regions of each image before any limit; returns the list and a function that stops counting.
+
+    Counting takes time, so it stops before the measured steps.
+    """
     seen: list[int] = []
     select, regions = model.roi_heads.select_training_samples, losses._regions
 
@@ -273,11 +275,11 @@ def peak_mb(device: torch.device) -> float:
 
 
 def report(options: argparse.Namespace, rows: dict[str, list[dict[str, Any]]]) -> None:
-    """Print the best figures of each contender, and how they compare with torchvision's."""
+    """Print the best figures of each contender, and compare them with torchvision's."""
     names = ("images_per_s", "cpu_s_per_image", "peak_mb", "vehicle_regions")
     best = {name: {key: best_of(key, each) for key in names} for name, each in rows.items()}
     print(f"{machine(options.device)}, torchvision {torchvision.__version__}; batch {options.batch_size}, short side")
-    print(f"{options.min_size} px, {options.steps} steps x {options.rounds} rounds, the best of each")
+    print(f"{options.min_size} px, {options.steps} steps x {options.rounds} rounds, best figures of each contender")
     print_head(("contender", "images/s", "times", "CPU s/image", "times", "peak MB", "vehicle regions/image"))
     peer = best["torchvision"]
     for name, row in best.items():
@@ -288,7 +290,7 @@ def report(options: argparse.Namespace, rows: dict[str, list[dict[str, Any]]]) -
 
 
 def best_of(key: str, rows: Sequence[dict[str, Any]]) -> float:
-    """The figure of the quietest round."""
+    """Return the best figure over the rounds."""
     values = [float(row[key]) for row in rows]
     return max(values) if key == "images_per_s" else min(values)
 

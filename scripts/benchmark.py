@@ -1,4 +1,4 @@
-"""What the benchmarks share: rounds in turn, processes of their own, the machine's name, tables."""
+"""Shared code of the benchmarks: alternating rounds, separate processes, the description of the machine, tables."""
 
 import json
 import os
@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 def machine(device: str = "cpu") -> str:
-    """The machine, the device if it is a GPU, and the version of torch."""
+    """Describe the machine, the GPU if there is one, and the version of torch."""
     import torch
 
     gpu = "" if device == "cpu" else f", {torch.cuda.get_device_name(device)}"
@@ -22,14 +22,17 @@ def machine(device: str = "cpu") -> str:
 
 
 def timed(work: Callable[[], T]) -> tuple[float, T]:
-    """Seconds that a call takes, and what it returns."""
+    """Time a call; returns its seconds and its result."""
     begun = time.perf_counter()
     value = work()
     return time.perf_counter() - begun, value
 
 
 def in_turn(ways: Mapping[str, Callable[[], T]], rounds: int) -> dict[str, list[T]]:
-    """The results of each way in `rounds` rounds. The ways alternate, so that other load falls on all of them."""
+    """Run each way in `rounds` rounds and return its results.
+
+    The ways alternate, so that other load affects all of them equally.
+    """
     found: dict[str, list[T]] = {name: [] for name in ways}
     for _ in range(rounds):
         for name, work in ways.items():
@@ -38,17 +41,17 @@ def in_turn(ways: Mapping[str, Callable[[], T]], rounds: int) -> dict[str, list[
 
 
 def in_own_process(*words: str) -> Any:
-    """The JSON that this script prints as its last line, with `words` after its own, in another process."""
+    """Run this script again in another process with `words` appended; returns the JSON in its last line of output."""
     command = [sys.executable, *sys.argv, *words]
     return json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.splitlines()[-1])
 
 
 def print_head(names: Sequence[str]) -> None:
-    """The head of a Markdown table."""
+    """Print the head of a Markdown table."""
     print_row(names)
     print("|---" * len(names) + "|", flush=True)
 
 
 def print_row(cells: Iterable[object]) -> None:
-    """A row of a Markdown table."""
+    """Print a row of a Markdown table."""
     print("| " + " | ".join(map(str, cells)) + " |", flush=True)

@@ -3,8 +3,8 @@
     python scripts/compile_towns.py [town01 ...] [--out FOLDER]
 
 Runs SUMO's netconvert (pip install skope[maps]) on the sources in skope/gen/towns/*/source and writes town.net.xml
-beside them, without the date and paths of netconvert's header; the sources' digest is there instead, by which a test
-knows that both belong together.
+beside them. The date and paths of netconvert's header are replaced by a digest of the sources, with which a test checks
+that network and sources match.
 """
 
 import argparse
@@ -18,7 +18,7 @@ SOURCES = {"nod": "node-files", "edg": "edge-files", "con": "connection-files", 
 
 
 def compile_town(town: str, out: Path) -> None:
-    """Write a town's network. Raises UserError."""
+    """Write the network of a town. Raises UserError."""
     source = town_folder(town) / "source"
     found = {option: source / f"town.{kind}.xml" for kind, option in SOURCES.items()}
     options = {**{option: str(path) for option, path in found.items() if path.is_file()}, **COMMON_OPTIONS}
@@ -29,7 +29,7 @@ def compile_town(town: str, out: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     names = tuple(town.name for town in towns())
-    parser.add_argument("towns", nargs="*", metavar="TOWN", help=f"of {', '.join(names)}; default: all of them")
+    parser.add_argument("towns", nargs="*", metavar="TOWN", help=f"one of {', '.join(names)}; default: all")
     parser.add_argument("--out", type=Path, help="folder for TOWN.net.xml; default: town.net.xml beside the sources")
     options = parser.parse_args()
     for town in options.towns or names:

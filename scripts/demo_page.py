@@ -1,8 +1,8 @@
-"""The page at the end of `make demo`: what was made, pictures first, and what fine-tuning changed.
+"""The page at the end of `make demo`: the results, pictures first, and the effect of fine-tuning.
 
     python scripts/demo_page.py runs/demo --data data/demo
 
-It writes RUN/index.html, with the pictures inside and links to the files beside it, and prints the verdict.
+Writes RUN/index.html, with embedded pictures and links to the files beside it, and prints the verdict.
 """
 
 import argparse
@@ -31,13 +31,13 @@ FIGURES = {"PCK@0.1": "pck", "box precision": "box_precision", "box recall": "bo
 
 
 def photo(pixels: NDArray[np.uint8], title: str) -> dict[str, Any]:
-    """(H, W, 3) as a picture inside the page, under its title."""
+    """Embed an image (H, W, 3) in the page, with a title."""
     height, width = pixels.shape[:2]
     return {"title": title, "source": jpeg(pixels, longest=max(width, height), quality=82), "size": (width, height)}
 
 
 def rates(metrics: Mapping[str, Any]) -> dict[str, tuple[float | None, int]]:
-    """Each figure of `FIGURES` of an evaluation, and how many things it is a share of."""
+    """Return each of `FIGURES` in an evaluation, and the number of objects that it is a share of."""
     split = metrics["splits"][SPLIT]
     row = split["iou"][IOU]
     counts = {"pck": row["labelled"], "box_precision": split["detections"], "box_recall": split["ground_truth"]}
@@ -46,12 +46,12 @@ def rates(metrics: Mapping[str, Any]) -> dict[str, tuple[float | None, int]]:
 
 
 def verdict(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
-    """What fine-tuning changed, in words.
+    """Describe the effect of fine-tuning.
 
-    A change counts when it is larger than twice its standard deviation, were all things drawn one by one. Vehicles of
-    one recording resemble each other, so that real changes have to be larger still.
+    A change counts if it exceeds twice its standard deviation, assuming independent samples. Vehicles of one recording
+    resemble each other, so a real change has to be even larger.
     """
-    said = []
+    changes = []
     later = rates(after)
     for name, (old, count) in rates(before).items():
         new = later[name][0]
@@ -59,14 +59,14 @@ def verdict(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
             continue
         middle = (old + new) / 2
         if abs(new - old) > 2 * math.sqrt(2 * middle * (1 - middle) / count):
-            said.append(f"{name} {'rose' if new > old else 'fell'} from {percent_text(old)} to {percent_text(new)}")
-    if not said:
-        return "Fine-tuning changed nothing that so few images could show."
-    return f"Fine-tuning: {', '.join(said)}. The images are few and of one recording: do not build on it."
+            changes.append(f"{name} {'rose' if new > old else 'fell'} from {percent_text(old)} to {percent_text(new)}")
+    if not changes:
+        return "Fine-tuning changed nothing that these few images could show."
+    return f"Fine-tuning: {', '.join(changes)}. There are few images, all of one recording: do not rely on it."
 
 
 def tracked(path: Path) -> str:
-    """Number of tracked vehicles and the highest speed, in words."""
+    """Describe the number of tracked vehicles and the highest speed."""
     with path.open(encoding="utf-8", newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["category"] == "vehicle"]
     if not rows:
@@ -76,30 +76,32 @@ def tracked(path: Path) -> str:
 
 
 def page(run: Path, data: Path) -> tuple[str, str]:
-    """The page, and the verdict on fine-tuning."""
+    """Return the page, and the verdict on fine-tuning."""
     before, after = (read_json(run / name / "metrics.json") for name in ("road33", "tuned_score"))
 
     seen, tracks = run / "seen", run / "tracks"
     files = {name: tracks / name for name in ("tracks.csv", "fcd.xml", "mot.txt")}
     files |= {"overlay.mp4": seen / "overlay.mp4", "The card": data / "README.md"}
     files |= {"road33": run / "road33" / "report.html", "fine-tuned": run / "tuned_score" / "report.html"}
-    said = verdict(before, after)
+    verdict_text = verdict(before, after)
     made = render(
         Path(__file__).with_suffix(".html"),
         title="skope: the demonstration",
         links={name: Path(os.path.relpath(path, run)).as_posix() for name, path in files.items()},
         tracked=tracked(tracks / "tracks.csv"),
-        above=photo(read_image(tracks / "birdseye.png"), "Vehicles followed in metres, from above"),
-        before=photo(middle_frame(seen / "overlay.mp4"), "The same road before the camera, with what road33 found"),
+        above=photo(read_image(tracks / "birdseye.png"), "Tracks of the vehicles, seen from above"),
+        before=photo(
+            middle_frame(seen / "overlay.mp4"), "The same road in the camera image, with detections of road33"
+        ),
         labelled=labelled(data),
         scores=scores(before, after),
-        verdict=said,
+        verdict=verdict_text,
     )
-    return made, said
+    return made, verdict_text
 
 
 def scores(before: Mapping[str, Any], after: Mapping[str, Any]) -> Table:
-    """The figures of both detectors beside each other."""
+    """Tabulate the figures of both detectors."""
     later = rates(after)
     rows = [
         [name, percent_text(old), percent_text(later[name][0]), count] for name, (old, count) in rates(before).items()
@@ -109,14 +111,14 @@ def scores(before: Mapping[str, Any], after: Mapping[str, Any]) -> Table:
 
 
 def middle_frame(video: Path) -> NDArray[np.uint8]:
-    """(H, W, 3) the frame in the middle of a video."""
+    """Return the middle frame (H, W, 3) of a video."""
     footage = open_footage(str(video))
     _, pixels = next(footage.frames(len(footage) // 2))
     return pixels
 
 
 def labelled(data: Path) -> dict[str, dict[str, Any]]:
-    """An image of each split with its ground truth."""
+    """Draw one image of each split with its ground truth."""
     opened = open_dataset(data)
     out = {}
     for split in opened.splits:
@@ -133,12 +135,12 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True, help="the dataset")
     arguments = parser.parse_args()
     try:
-        made, said = page(arguments.run, arguments.data)
+        made, verdict_text = page(arguments.run, arguments.data)
     except UserError as error:
         parser.exit(2, f"demo_page: {error}\n")
     write_text(arguments.run / "index.html", made)
-    print(said)
-    print(f"Open {arguments.run / 'index.html'} in a browser: everything that was made, pictures first.")
+    print(verdict_text)
+    print(f"Open {arguments.run / 'index.html'} in a browser: it shows all results, pictures first.")
 
 
 if __name__ == "__main__":

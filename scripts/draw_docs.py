@@ -1,11 +1,11 @@
-"""Make the images of README and docs again, with the commands that they show; ten minutes on two cores.
+"""Draw the images of README and docs again, with the commands that they show. Takes ten minutes on two cores.
 
-    make demo                                                  # gives birdseye and footage_overlay
+    make demo                                                  # needed for birdseye and footage_overlay
     python scripts/draw_docs.py                                # all
     python scripts/draw_docs.py noon fog --out elsewhere       # some
 
-Chromium takes `gallery` and `report` from their pages. docs/real_footage.jpg is a frame of real footage, from
-`skope eval predict VIDEO --overlay`; `python scripts/legs_table.py --curve docs/legs.svg` draws docs/legs.svg.
+Chromium takes the screenshots `gallery` and `report`. docs/real_footage.jpg is a frame of real footage, from
+`skope eval predict VIDEO --overlay`. `python scripts/legs_table.py --curve docs/legs.svg` draws docs/legs.svg.
 """
 
 import argparse
@@ -54,13 +54,13 @@ Pixels = NDArray[np.uint8]
 
 ROOT: Final = Path(__file__).parents[1]
 MOST_BYTES: Final = 290_000
-"""Largest file: a page shows many of them."""
+"""Largest file size; a page shows many of these files."""
 OVERLAY_FRAME: Final = 30
 
 
 @dataclass(frozen=True)
 class Places:
-    """Folders that images come from."""
+    """Folders that the images come from."""
 
     work: Path
     """Folder for intermediate files."""
@@ -69,23 +69,23 @@ class Places:
 
 
 def skope(*words: object, at: Path = ROOT) -> None:
-    """A command, in the folder `at`."""
+    """Run a command in the folder `at`."""
     subprocess.run([sys.executable, "-m", "skope", *map(str, words), "--quiet"], check=True, cwd=at)
 
 
 def generated(folder: Path, *options: object) -> Pixels:
-    """Of a dataset that is generated, the image with the most vehicles, the last of several."""
+    """Generate a dataset and return its image with the most vehicles, the last one among equals."""
     skope("gen", *options, "--size", "1280x720", "--out", folder)
     dataset = open_dataset(folder)
     vehicles: Counter[str] = Counter()
     for file in map(dataset.read, dataset.splits):
         names = {image.id: image.file_name for image in file.images}
-        vehicles.update(names[one.image_id] for one in file.annotations if not one.ignored)
+        vehicles.update(names[label.image_id] for label in file.annotations if not label.ignored)
     return read_image(folder / max(vehicles, key=lambda name: (vehicles[name], name)))
 
 
 def weather(name: str, sky: str, time: str) -> Callable[[Places], Pixels]:
-    """A function that draws one junction in some weather."""
+    """Return a function that draws the same junction in some weather."""
 
     def draw(places: Places) -> Pixels:
         options = ("--site", JUNCTION, "--weather", sky, "--time-of-day", time, "--frames", 2)
@@ -95,14 +95,14 @@ def weather(name: str, sky: str, time: str) -> Callable[[Places], Pixels]:
 
 
 def own_road(places: Places) -> Pixels:
-    """The example's road in the rush hour."""
+    """Draw the road of the example in the rush hour."""
     folder = places.work / "own_road"
     shutil.copytree(ROOT / "examples/own_road", folder)
     site = folder / "site.toml"
     usual, busy = "vehicles_per_hour = 900", "vehicles_per_hour = 2400"
     text = site.read_text(encoding="utf-8")
     if usual not in text:
-        sys.exit(f"{site}: does not say {usual!r}")
+        sys.exit(f"{site}: does not contain {usual!r}")
     site.write_text(text.replace(usual, busy), encoding="utf-8")
     return generated(folder / "data", "--site", site, "--frames", 24)
 
@@ -113,12 +113,12 @@ def vehicle_sheet(places: Places) -> Pixels:
 
 
 def keypoints(places: Places) -> Pixels:
-    """Of each kind of body the two views from three quarters, with its keypoints."""
+    """Draw the two three-quarter views of each kind of body, with its keypoints."""
     rows = []
     for model in ("suv", "van", "truck", "bus"):
         skope("gen", "vehicles", "show", model, "--out", places.work / "vehicles")
         sheet = read_image(places.work / "vehicles" / f"{model}.png")
-        # Plain and labelled rows by turns, three views in each; a line of text above.
+        # Plain and labelled rows alternate, with three views in each, below a line of text.
         high, wide = sheet.shape[1] // 3 * 400 // 640, sheet.shape[1] * 2 // 3
         top = sheet.shape[0] - 3 * (high + 3)
         rows.append(sheet[top : top + high, :wide])
@@ -132,8 +132,8 @@ def birdseye(places: Places) -> Pixels:
 def footage_overlay(places: Places) -> Pixels:
     video = cv2.VideoCapture(str(places.run / "seen" / "overlay.mp4"))
     video.set(cv2.CAP_PROP_POS_FRAMES, OVERLAY_FRAME)
-    there, frame = video.read()
-    if not there:
+    was_read, frame = video.read()
+    if not was_read:
         sys.exit(f"{places.run / 'seen' / 'overlay.mp4'}: has no frame {OVERLAY_FRAME}: run `make demo`")
     return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
@@ -149,13 +149,13 @@ def report(places: Places) -> Pixels:
 
 
 def queue(places: Places) -> str:
-    """The name of a dataset of vehicles before a signal; reports show it as given."""
+    """Generate a dataset of vehicles waiting at a signal; returns its name, which reports show as given."""
     skope("gen", "--site", "t01_mill_south", "--frames", 8, "--size", "1280x720", "--out", "queue", at=places.work)
     return "queue"
 
 
 def photographed(page: Path, width: int, height: int) -> Pixels:
-    """The upper part of a page."""
+    """Return a screenshot of the upper part of a page."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "page.png"
         flags = ["--headless=new", "--no-sandbox", "--hide-scrollbars", f"--user-data-dir={folder}/profile"]
@@ -179,7 +179,7 @@ Array = np.ndarray
 
 
 def trilateration_figure(renderer: str) -> Figure:
-    """The 33 points of a vehicle; and one of them found from its distances to the four wheel centres."""
+    """Show the 33 points of a vehicle, and how one of them follows from its distances to the four wheel centres."""
     vehicle = fleet()[MODEL].vehicle
     figure = Figure(figsize=(16, 6.3), layout=ConstrainedLayoutEngine(h_pad=0.12))
     left, right = figure.subplots(1, 2)
@@ -201,22 +201,22 @@ def trilateration_figure(renderer: str) -> Figure:
 
 
 def _camera(fov: float) -> Camera:
-    """A camera that looks at the middle of a vehicle at the origin, from its front left."""
+    """Return a camera that looks at the middle of a vehicle at the origin, from its front left."""
     azimuth, elevation = math.radians(58), math.radians(17)
     toward = np.array([math.cos(azimuth), math.sin(azimuth), math.tan(elevation)])
-    place = np.array([0, 0, 0.7]) + 19 * toward
-    return Camera.looking(place, yaw=azimuth + math.pi, pitch_down=elevation, size=(1000, 760), fov=fov)
+    position = np.array([0, 0, 0.7]) + 19 * toward
+    return Camera.looking(position, yaw=azimuth + math.pi, pitch_down=elevation, size=(1000, 760), fov=fov)
 
 
 def spheres(axis: Axes, points: Array, distances: Array, camera: Camera) -> None:
-    """Around each wheel centre the circle of its sphere that goes through the point and its mirror image."""
+    """Draw, around each wheel centre, the circle of its sphere through the point and its mirror image."""
     wheels, target = points[list(scheme.WHEELS)], points[scheme.INDEX[POINT]]
     center, _, normal = wheel_plane(wheels)
     height = (target - center) @ normal
     mirrored = target - 2 * height * normal
 
     def at(places: Array) -> Array:
-        return camera.project(places)[0] - 0.5  # matplotlib counts the centre of a pixel as i
+        return camera.project(places)[0] - 0.5  # matplotlib puts the centre of a pixel at integers
 
     axis.add_patch(Polygon(at(wheels[[0, 1, 3, 2]]), color="#56b4e9", alpha=0.35, lw=0))
     turn = np.linspace(0, 2 * math.pi, 200)[:, None]
@@ -240,7 +240,7 @@ _NOTE = {"textcoords": "offset points", "fontsize": 9, "arrowprops": {"arrowstyl
 
 @dataclass(frozen=True)
 class Scene:
-    """A frame, and the vehicle of it that is shown."""
+    """A frame, and the vehicle in it that is shown."""
 
     recording: Recording
     view: RenderedFrame
@@ -250,7 +250,7 @@ class Scene:
 
 
 def hidden_vehicle(renderer: str) -> Scene:
-    """The tallest car on a busy road of which something else hides about a third."""
+    """Return the tallest car on a busy road that something else hides by about a third."""
     _, driver, _ = choose_renderer(renderer)
     plan = from_preset(
         "demo", seed=0, renderer=renderer, driver=driver, rules=Rules(), frames=BUSY_FRAMES, sites=(BUSY_SITE,),
@@ -271,13 +271,13 @@ def hidden_vehicle(renderer: str) -> Scene:
 
 
 def occlusion_figure(scene: Scene) -> Figure:
-    """A partly hidden vehicle, and d_k - d_p of each of its points."""
+    """Show a partly hidden vehicle, and d_k - d_p of each of its points."""
     camera, view = scene.recording.camera, scene.view
     points = scene.world.tested[scene.index]
     gap, shown = (values[0] for values in behind(view, camera, points))
-    own = shown == scene.index + 1
+    on_itself = shown == scene.index + 1
     seen = scene.annotation.keypoints[:, 2]
-    kinds = np.where(seen == 2, "visible", np.where(own, "hidden by itself", "hidden by something else"))
+    kinds = np.where(seen == 2, "visible", np.where(on_itself, "hidden by itself", "hidden by something else"))
     figure = Figure(figsize=(16, 5.6), layout=ConstrainedLayoutEngine(h_pad=0.12))
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
     x, y, w, h = scene.annotation.bbox
@@ -316,29 +316,29 @@ def occlusion_figure(scene: Scene) -> Figure:
 
 
 def annotate_depths(axis: Axes, scene: Scene, k: int, points: Array, offset: tuple[int, int]) -> None:
-    """Write a point's distance from the camera and that of what its pixel shows beside it."""
+    """Annotate a point with its distance from the camera and with the distance that its pixel shows."""
     camera = scene.recording.camera
     pixel = camera.project(points[k])[0]
     column, row = (int(v) for v in pixel)
     ray, _ = camera.rays(np.array([column + 0.5, row + 0.5]))
     shown = float(scene.view.depth[row, column]) * float(np.linalg.norm(ray))
-    own = float(np.linalg.norm(camera.to_camera(points[k])))
-    text = f"{k} {scheme.NAMES[k]}\n$d_k$ = {own:.2f} m, $d_p$ = {shown:.2f} m"
+    distance = float(np.linalg.norm(camera.to_camera(points[k])))
+    text = f"{k} {scheme.NAMES[k]}\n$d_k$ = {distance:.2f} m, $d_p$ = {shown:.2f} m"
     axis.annotate(text, pixel - 0.5, offset, **_NOTE)
 
 
 def method_trilateration(_: Places) -> Pixels:
-    """The figure of docs/method.md on trilateration."""
+    """Draw the figure of docs/method.md on trilateration."""
     return rasterised(trilateration_figure(choose_renderer("auto")[0]))
 
 
 def method_occlusion(_: Places) -> Pixels:
-    """The figure of docs/method.md on hidden points."""
+    """Draw the figure of docs/method.md on hidden points."""
     return rasterised(occlusion_figure(hidden_vehicle(choose_renderer("auto")[0])))
 
 
 def rasterised(figure: Figure) -> Pixels:
-    """(H, W, 3) of a figure."""
+    """Rasterise a figure to (H, W, 3) pixels."""
     figure.set_dpi(90)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
@@ -362,7 +362,7 @@ NEEDS_BROWSER: Final = ("gallery", "report")
 
 
 def write(path: Path, pixels: Pixels) -> None:
-    """Write a JPEG in the best quality that `MOST_BYTES` allow."""
+    """Write a JPEG in the best quality that keeps it within `MOST_BYTES`."""
     for quality in range(90, 40, -5):
         made, data = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
         if made and len(data) <= MOST_BYTES:
@@ -374,9 +374,9 @@ def write(path: Path, pixels: Pixels) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(PICTURES)}; all by default")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"one of {', '.join(PICTURES)}; default: all")
     parser.add_argument("--out", type=Path, default=ROOT / "docs")
-    parser.add_argument("--run", type=Path, default=ROOT / "runs/demo", help="what `make demo` made")
+    parser.add_argument("--run", type=Path, default=ROOT / "runs/demo", help="folder that `make demo` wrote")
     options = parser.parse_args()
     names = options.names or list(PICTURES)
     if unknown := set(names) - PICTURES.keys():

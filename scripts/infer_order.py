@@ -1,15 +1,15 @@
-"""Propose what the keypoints of published SKoPe3D scenes are, from where they lie inside the vehicles' 3D boxes.
+"""Propose names for the keypoints of published SKoPe3D scenes, from their positions in the vehicles' 3D boxes.
 
     python scripts/infer_order.py SCENES... --out map.json     # zips, or folders of them
     skope gen convert SCENES... --from skope3d --map map.json OUT
 
-Each vehicle's eight projected corners give a camera that looks at a cube (a linear fit of 11 parameters to 16 numbers);
-each keypoint's mean place in the cube is where the rays of all vehicles that show it meet best. Compared with where the
-fleet's keypoints lie, every keypoint gets the name that makes all distances together least (Kuhn and Munkres), the
-known ones (roof corners and logo) apart: they say which corner is which. A name must be nearer than any other by the
-margin, for the keypoint and for the name, or the keypoint stays unmapped.
+The eight projected corners of each vehicle give a camera that looks at a cube (a linear fit of 11 parameters to 16
+numbers). The mean position of a keypoint in the cube is the point nearest to the rays of all vehicles that show it.
+Each keypoint gets the name of a keypoint of the fleet, so that the sum of all distances is smallest (Kuhn and Munkres).
+The known keypoints (roof corners and logo) are not renamed; they decide which corner is which. A name must be nearer
+than any other by the margin, for the keypoint and for the name; otherwise the keypoint stays unmapped.
 
-It is a proposal: look at a few vehicles before you rely on it.
+The result is a proposal: check it on a few vehicles before you rely on it.
 """
 
 import argparse
@@ -30,35 +30,40 @@ from skope.gen.vehicles.fleet import fleet
 from skope.keypoints import PUBLISHED, SKOPE3D, K
 
 HALF_SIZE_M = np.array([2.25, 0.9, 0.8])
-"""Half of a car's length, width and height: distances in the cube are told in metres of such a car."""
+"""Half the length, width and height of a car; distances in the cube are given in metres of such a car."""
 MOST_VEHICLES = 4000
 LEAST_VIEWS = 20
 FARTHEST_M = 0.6
-"""A keypoint that lies farther from the fleet's stays unmapped."""
+"""A keypoint that is farther than this from the fleet's keypoints stays unmapped."""
 
 _PRODUCT = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 _RING = [(-1, -1), (-1, 1), (1, 1), (1, -1)]
 ORDERS = {"nested": _PRODUCT, "in rings": np.array([(x, y, z) for z in (-1.0, 1.0) for x, y in _RING])}
-"""Ways to count a cube's corners; another start, direction or axis is one of its 48 symmetries."""
+"""Orders of a cube's corners; a different start, direction or axis is one of its 48 symmetries."""
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
 
 def vehicles_in(sources: Sequence[Path]) -> list[ArchiveVehicle]:
-    """Vehicles with a 3D box, at most `MOST_VEHICLES`, evenly from all scenes."""
+    """Read vehicles with a 3D box, at most `MOST_VEHICLES`, evenly from all scenes."""
     found: list[ArchiveVehicle] = []
     paths = archives(sources)
     for path in paths:
         with opened(path) as archive:
             scene = scene_of(archive)
-            own = (vehicle for frame in scene.frames for vehicle in scene.vehicles(frame))
-            known = (vehicle for vehicle in own if np.ptp(vehicle.corners, axis=0).min() > 4)
+            vehicles = (vehicle for frame in scene.frames for vehicle in scene.vehicles(frame))
+            known = (vehicle for vehicle in vehicles if np.ptp(vehicle.corners, axis=0).min() > 4)
             found += itertools.islice(known, -(-MOST_VEHICLES // len(paths)))
     return found
 
 
 def cameras(corners: Array, cube: Array) -> tuple[Array, Array]:
-    """(N, 3, 4) that project the cube (8, 3) to (N, 8, 2), and the (N,) largest misses over the box's size."""
+    """Fit cameras to the corners of 3D boxes.
+
+    Returns:
+        (N, 3, 4) cameras that project the cube (8, 3) to (N, 8, 2), and their (N,) largest misses, relative to the size
+        of the box.
+    """
     center = corners.mean(axis=1, keepdims=True)
     scale = np.abs(corners - center).max(axis=(1, 2), keepdims=True)
     uv = (corners - center) / scale
@@ -76,12 +81,15 @@ def cameras(corners: Array, cube: Array) -> tuple[Array, Array]:
     return back @ P, missed
 
 
-def place(P: Array, uv: Array, unit: Array) -> Array:
-    """(3,) where the rays through pixels (V, 2) of cameras (V, 3, 4) meet best; misses count in `unit` (V,) pixels."""
+def meeting_point(P: Array, uv: Array, unit: Array) -> Array:
+    """Return the point (3,) nearest to the rays through pixels (V, 2) of cameras (V, 3, 4).
+
+    Misses are weighted by `unit` (V,), in pixels.
+    """
     rows = (P[:, :2] - uv[..., None] * P[:, 2:]) / (P[:, 2, 3] * unit)[:, None, None]
     A, b = rows[..., :3].reshape(-1, 3), -rows[..., 3].ravel()
     weight = np.ones(len(b))
-    for _ in range(5):  # what is far from where most rays meet counts less
+    for _ in range(5):  # outliers get less weight
         X = np.linalg.lstsq(A * weight[:, None], b * weight, rcond=None)[0]
         away = np.abs(A @ X - b)
         weight = np.sqrt(1 / np.maximum(1, away / (1.5 * np.median(away) + 1e-9)))
@@ -89,13 +97,16 @@ def place(P: Array, uv: Array, unit: Array) -> Array:
 
 
 def places(vehicles: Sequence[ArchiveVehicle]) -> tuple[Array, str]:
-    """(33, 3) mean place of each keypoint in the cube, NaN where too few show it, and how corners are counted."""
+    """Return the mean position (33, 3) of each keypoint in the cube, and the order of the corners.
+
+    Keypoints that are visible in too few views are NaN.
+    """
     corners = np.stack([vehicle.corners for vehicle in vehicles])
     fits = {name: cameras(corners, cube) for name, cube in ORDERS.items()}
     order = min(fits, key=lambda name: float(np.median(fits[name][1])))
     P, missed = fits[order]
     if np.median(missed) > 0.05:
-        raise UserError("the 3D boxes' corners are counted in no known order")
+        raise UserError("the corners of the 3D boxes are not in a known order")
     good = missed < 0.05
     points = np.stack([vehicle.points for vehicle in vehicles])
     unit = np.ptp(corners, axis=1).max(axis=1)
@@ -103,15 +114,15 @@ def places(vehicles: Sequence[ArchiveVehicle]) -> tuple[Array, str]:
     for k in range(K):
         seen = good & (points[:, k, 2] == 1)
         if seen.sum() >= LEAST_VIEWS:
-            out[k] = place(P[seen], points[seen, k, :2], unit[seen])
+            out[k] = meeting_point(P[seen], points[seen, k, :2], unit[seen])
     return out, order
 
 
 def turned(found: Array, ours: Array) -> Array:
-    """`found` with the cube's axes as the known keypoints have them."""
+    """Turn `found` so that its known keypoints agree with ours."""
     known = [i for i in SKOPE3D if np.isfinite(found[i]).all()]
     if len(known) < 3:
-        raise UserError(f"of the known keypoints only {len(known)} are seen often enough to tell front from rear")
+        raise UserError(f"only {len(known)} of the known keypoints are visible often enough to tell front from rear")
     best: tuple[float, Array] | None = None
     for axes in itertools.permutations(range(3)):
         for signs in itertools.product((-1, 1), repeat=3):
@@ -124,9 +135,9 @@ def turned(found: Array, ours: Array) -> Array:
 
 
 def fleet_places() -> Array:
-    """(33, 3) median place of the fleet's keypoints in their boxes, of which each axis goes from -1 to 1.
+    """Return the median positions (33, 3) of the fleet's keypoints in their boxes, whose axes run from -1 to 1.
 
-    Where rays meet best is near the place that most vehicles have, and far from the mean where lorries have another.
+    The point nearest to most rays lies near the position of most vehicles. The mean would be shifted by lorries.
     """
     rows = []
     for entry in fleet(further=False).values():
@@ -136,7 +147,11 @@ def fleet_places() -> Array:
 
 
 def propose(found: Array, ours: Array, margin: float) -> list[tuple[int, int | None, float, float]]:
-    """Of each unknown keypoint: index, proposed index (None: unmapped), distance and margin in metres."""
+    """Propose a name for each unknown keypoint.
+
+    Returns:
+        For each: index, proposed index (None: unmapped), distance and margin in metres.
+    """
     theirs = [k for k in range(K) if k not in SKOPE3D and np.isfinite(found[k]).all()]
     names = [k for k in range(K) if k not in SKOPE3D.values()]
     apart = np.linalg.norm((found[theirs][:, None] - ours[names][None]) * HALF_SIZE_M, axis=-1)
@@ -153,11 +168,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("scenes", nargs="+", type=Path, help="scene_K.zip, or folders of them")
     parser.add_argument("--out", type=Path, default=Path("map.json"), help="for `skope gen convert --map`")
-    parser.add_argument("--margin", type=float, default=0.05, help="metres by which a name must be nearest")
+    parser.add_argument("--margin", type=float, default=0.05, help="metres by which a name must be nearer than others")
     arguments = parser.parse_args()
     try:
         if not arguments.margin >= 0:
-            raise UserError(f"--margin: expected metres from 0, got {arguments.margin}")
+            raise UserError(f"--margin: expected 0 or more metres, got {arguments.margin}")
         vehicles = vehicles_in(arguments.scenes)
         if len(vehicles) < LEAST_VIEWS:
             raise UserError(f"only {len(vehicles)} vehicles with 3D boxes; expected {LEAST_VIEWS} or more")
@@ -168,10 +183,10 @@ def main() -> None:
         write_json(arguments.out, sure)
     except UserError as error:
         parser.exit(2, f"infer_order: {error}\n")
-    print(f"{len(vehicles)} vehicles, corners counted {order}")
+    print(f"{len(vehicles)} vehicles, order of the corners: {order}")
     for k, name, distance, lead in rows:
         proposed = "unmapped" if name is None else keypoints.NAMES[name]
-        print(f"{PUBLISHED.names[k]}  {proposed:<24} {distance:.2f} m from the fleet's, {lead:.2f} m ahead")
+        print(f"{PUBLISHED.names[k]}  {proposed:<24} {distance:.2f} m from the fleet's, margin {lead:.2f} m")
     print(f"wrote {arguments.out}: {len(sure)} of {K - len(SKOPE3D)} keypoints; the others stay unmapped")
 
 

@@ -3,8 +3,8 @@
     python scripts/legs_table.py
     python scripts/legs_table.py --curve docs/legs.svg
 
-Figures are those at the end of each stage, against all images that were visited until then; those before the first
-stage are its start's.
+Figures are those at the end of each stage, against all images visited until then. The row `start` holds the figures
+before the first stage.
 """
 
 import argparse
@@ -37,39 +37,39 @@ class Point:
     photographs: Figures
 
     def mean(self, dataset: str, value: Callable[[Figures], float]) -> float | None:
-        """The mean over a dataset's splits; None where it was not measured."""
+        """Return the mean over the splits of a dataset; None if it was not measured."""
         splits = self.figures.get(dataset, {})
         return fmean(map(value, splits.values())) if splits else None
 
 
 def read_log() -> list[dict[str, Any]]:
-    """The stages of road33, in their order."""
+    """Read the stages of road33 in order."""
     rows = [json.loads(line) for line in LOG.read_text().splitlines()]
     return [row for row in rows if row["leg"].isdecimal()]
 
 
 def points(log: Sequence[Mapping[str, Any]]) -> Iterator[Point]:
-    """The start, and the end of each stage."""
+    """Yield the start, and the end of each stage."""
     visits = 0
     for row in log:
         if row["leg"] == "1":
             yield Point("start", 0, row["figures"]["start"], row["photographs"]["start"])
-        visits += sum(one["visits"] for one in row["rounds"])
+        visits += sum(round_["visits"] for round_ in row["rounds"])
         yield Point(row["leg"], visits, row["figures"]["end"], row["photographs"]["end"])
 
 
 def ap50(figures: Figures) -> float:
-    """AP50 of vehicles' boxes, percent."""
+    """Return the AP50 of vehicle boxes in percent."""
     return 100 * float(figures["box_ap50"])
 
 
 def keypoint_ap50(figures: Figures) -> float:
-    """AP50 of keypoints, percent."""
+    """Return the AP50 of keypoints in percent."""
     return 100 * float(figures["keypoint_ap50"])
 
 
 def recall(figures: Figures) -> float:
-    """Recall of vehicles at precision 0.90, percent."""
+    """Return the recall of vehicles at precision 0.90 in percent."""
     return 100 * float(figures["recall_at_precision"]["0.9"])
 
 
@@ -77,76 +77,81 @@ MEANS: Final = {"AP50 of boxes": ap50, "AP50 of keypoints": keypoint_ap50, "reca
 
 
 def legs_table(log: Sequence[Mapping[str, Any]], found: Sequence[Point]) -> str:
-    """Machine, images and figures of each stage: mean over the conditions, and photographs."""
+    """Tabulate the machine, images and figures of each stage: means over the conditions, and photographs."""
     did = {"start": ("", ""), **{row["leg"]: (row["machine"], _images(row)) for row in log}}
     return markdown_table(
-        ["leg", "machine", "images", "visits", *MEANS, "photographs: keypoints", "AP50", "recall at precision 0.95"],
+        ["stage", "machine", "images", "visits", *MEANS, "photographs: keypoints", "AP50", "recall at precision 0.95"],
         [
             (
-                *(one.name, *did[one.name], f"{one.visits:,}".replace(",", " ")),
-                *(_percent(one.mean(CONDITIONS, value)) for value in MEANS.values()),
-                _percent(100 * one.photographs["keypoints"]),
-                _percent(100 * one.photographs["box_ap50"]),
-                _percent(100 * one.photographs["recall_at_precision"]["0.95"]),
+                *(point.name, *did[point.name], f"{point.visits:,}".replace(",", " ")),
+                *(_percent(point.mean(CONDITIONS, value)) for value in MEANS.values()),
+                _percent(100 * point.photographs["keypoints"]),
+                _percent(100 * point.photographs["box_ap50"]),
+                _percent(100 * point.photographs["recall_at_precision"]["0.95"]),
             )
-            for one in found
+            for point in found
         ],
     )
 
 
 def splits_table(found: Sequence[Point], value: Callable[[Figures], float]) -> str:
-    """A figure of each split of each dataset, by stage."""
-    names = sorted({(dataset, split) for one in found for dataset, splits in one.figures.items() for split in splits})
+    """Tabulate a figure of each split of each dataset, by stage."""
+    names = sorted(
+        {(dataset, split) for point in found for dataset, splits in point.figures.items() for split in splits}
+    )
     return markdown_table(
-        ["split", *(one.name for one in found)],
+        ["split", *(point.name for point in found)],
         [
             (
                 split,
-                *(_percent(value(one.figures[dataset][split]) if dataset in one.figures else None) for one in found),
+                *(
+                    _percent(value(point.figures[dataset][split]) if dataset in point.figures else None)
+                    for point in found
+                ),
             )
             for dataset, split in names
         ],
     )
 
 
-def others_table(found: Sequence[Point]) -> str:
-    """AP50 of two-wheelers and people, in the mean over the conditions that have them."""
+def road_users_table(found: Sequence[Point]) -> str:
+    """Tabulate the AP50 of two-wheelers and people, averaged over the conditions that contain them."""
     names = sorted(
-        {name for one in found for row in one.figures.get(CONDITIONS, {}).values() for name in row["ap50_of"]}
+        {name for point in found for row in point.figures.get(CONDITIONS, {}).values() for name in row["ap50_of"]}
     )
 
-    def mean(one: Point, name: str) -> float | None:
-        own = [row["ap50_of"][name] for row in one.figures.get(CONDITIONS, {}).values() if name in row["ap50_of"]]
-        return 100 * fmean(own) if own else None
+    def mean(point: Point, name: str) -> float | None:
+        values = [row["ap50_of"][name] for row in point.figures.get(CONDITIONS, {}).values() if name in row["ap50_of"]]
+        return 100 * fmean(values) if values else None
 
     return markdown_table(
-        ["category", *(one.name for one in found)],
-        [(name, *(_percent(mean(one, name)) for one in found)) for name in names],
+        ["category", *(point.name for point in found)],
+        [(name, *(_percent(mean(point, name)) for point in found)) for name in names],
     )
 
 
 def curve(found: Sequence[Point]) -> str:
-    """An SVG of the mean figures over the conditions against visits."""
-    lines = {name: [(one.visits, one.mean(CONDITIONS, value)) for one in found] for name, value in MEANS.items()}
+    """Draw the mean figures over the conditions against visited images, as SVG."""
+    lines = {name: [(point.visits, point.mean(CONDITIONS, value)) for point in found] for name, value in MEANS.items()}
     known = [y for line in lines.values() for _, y in line if y is not None]
     low, high = 5 * (min(known) // 5), 5 * (max(known) // 5 + 1)
-    most = max(one.visits for one in found)
+    most = max(point.visits for point in found)
 
-    def place(visits: float, percent: float) -> tuple[float, float]:
+    def to_drawing(visits: float, percent: float) -> tuple[float, float]:
         across, up = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
         return round(LEFT + visits / most * across, 1), round(TOP + (high - percent) / (high - low) * up, 1)
 
     parts = []
     for percent in range(int(low), int(high) + 1, 5):
-        x, y = place(0, percent)
+        x, y = to_drawing(0, percent)
         parts.append(f'<path d="M{x} {y}H{WIDTH - RIGHT}" stroke="#ddd"/>')
         parts.append(f'<text x="{x - 6}" y="{y + 4}" text-anchor="end">{percent}%</text>')
-    for one in found:
-        x, y = place(one.visits, low)
-        parts.append(f'<text x="{x}" y="{y + 16}" text-anchor="middle">{one.visits // 1000}k</text>')
+    for point in found:
+        x, y = to_drawing(point.visits, low)
+        parts.append(f'<text x="{x}" y="{y + 16}" text-anchor="middle">{point.visits // 1000}k</text>')
     parts.append(f'<text x="{(LEFT + WIDTH - RIGHT) / 2}" y="{HEIGHT - 8}" text-anchor="middle">images visited</text>')
     for colour, (name, line) in zip(COLOURS, lines.items(), strict=False):
-        at = [place(x, y) for x, y in line if y is not None]
+        at = [to_drawing(x, y) for x, y in line if y is not None]
         parts.append(
             f'<path d="M{"L".join(f"{x} {y}" for x, y in at)}" fill="none" stroke="{colour}" stroke-width="2"/>'
         )
@@ -169,18 +174,18 @@ def main() -> None:
     print("\nRecall at precision 0.90, percent:\n")
     print(splits_table(found, recall))
     print("\nAP50, percent, over the conditions:\n")
-    print(others_table(found))
+    print(road_users_table(found))
     if options.curve is not None:
         write_text(options.curve, curve(found))
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table as the pages of docs/ have them."""
+    """Format a table as in docs/."""
     return str(tabulate(rows, headers=list(head), tablefmt="github", disable_numparse=True))
 
 
 def _images(row: Mapping[str, Any]) -> str:
-    return str(max(one["images"] for one in row["rounds"]))
+    return str(max(round_["images"] for round_ in row["rounds"]))
 
 
 def _percent(value: float | None) -> str:

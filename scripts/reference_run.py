@@ -1,21 +1,21 @@
-"""Make `road33` and `road33-lite`, which come with skope, from nothing: train, pack the weights, measure.
+"""Make `road33` and `road33-lite`, which come with skope, from scratch: train, pack the weights, measure.
 
     python scripts/reference_run.py paper                 # on a machine with a GPU -> runs/reference/paper
     python scripts/reference_run.py varied --gpus 2,3     # beside it on other GPUs, or after it
-    python scripts/reference_run.py world --gpus 0,1      # after `varied`, from whose weights it goes on
+    python scripts/reference_run.py world --gpus 0,1      # after `varied`, starting from its weights
     python scripts/reference_run.py road33 --gpus 0,1     # after `world`
     python scripts/reference_run.py lite --gpus 0,1       # from random weights, with road33 as it ships as teacher
 
-`paper` learns from that preset alone, `varied` from both, half of the images each, with all augmentations on
-(recipes/reference.toml): both from random weights. `world` goes on from `varied` with 960 places of that preset, while
-a quarter of the images are still of `paper` with its small vehicles (recipes/world.toml). `road33` goes on from `world`
-in the legs of train_leg.py, with new places in each, by day and night, and bicycles, motorcycles and people; `lite`
-learns in legs of its own. Scores are calibrated on places that were not learnt from. `make reference` does `varied`,
-`world` and `road33`, `make lite` does `lite`.
+`paper` trains on that preset alone, `varied` on both, half of the images each, with all augmentations
+(recipes/reference.toml). Both start from random weights. `world` starts from the weights of `varied` and adds 960
+places of that preset; a quarter of its images still come from `paper` with its small vehicles (recipes/world.toml).
+`road33` starts from `world` and trains in the stages of train_leg.py, each with new places, by day and night, and with
+bicycles, motorcycles and people. `lite` has stages of its own. Scores are calibrated on places that were not trained
+on. `make reference` runs `varied`, `world` and `road33`, `make lite` runs `lite`.
 
-Datasets that are missing under --data are made. Recordings need SUMO and pybullet; where these are not, bring folders
-of `skope gen simulate` (DATASETS has their options), and they are drawn. What is finished is not done again, and what
-was interrupted goes on: with --minutes, in commands of limited time. `make paper` is the paper's own experiment.
+Missing datasets under --data are generated. Recordings need SUMO and pybullet; without these, copy folders of
+`skope gen simulate` here (DATASETS has their options), and they are rendered. Finished steps are not repeated, and
+interrupted ones resume; --minutes limits the time of a command. `make paper` is the paper's own experiment.
 """
 
 import argparse
@@ -40,7 +40,7 @@ HERE: Final = Path(__file__).parent
 
 
 def of_splits(*splits: str) -> str:
-    """The names of their sites."""
+    """Return the names of the sites in these splits."""
     return ",".join(name for name, site in sites().items() if site.split in splits)
 
 
@@ -59,7 +59,7 @@ DATASETS: Final = {
     "world_7": f"--preset world --frames 12 --views 0 --seed 7 --sites {EXTRA}",
     "conditions_4711": "--preset conditions --frames 64 --seed 4711 --size 1280x720",
 }
-"""Folders under --data, and how `skope gen simulate` makes their recordings."""
+"""Folders under --data, and the options of `skope gen simulate` for their recordings."""
 TESTS: Final = {
     "paper_7": "easy,medium,hard",
     "varied_7": "easy,medium,hard",
@@ -74,27 +74,28 @@ LIVELY: Final = {
     **{"blur": 0.3, "noise": 0.3, "resample": 0.3, "jpeg": 0.3, "video": 0.2},
 }
 PACKED: Final = "packed.safetensors"
-LEG_MINUTES: Final = 25
+STAGE_MINUTES: Final = 25
 GRACE_S: Final = 25
-"""For a training to save its state when time is up."""
+"""Time for a training to save its state at the end of the time limit."""
 
 
 @dataclass(frozen=True)
 class Training:
-    """What a detector learns from, and how."""
+    """Data and settings of a training."""
 
     datasets: Sequence[str] = ()
     recipe: str = ""
     images: int | None = None
-    """Images with vehicles that are learnt from, each seen in every epoch; None: all, those without vehicles too."""
+    """Images with vehicles to train on, each seen in every epoch; None: all images, including those without
+    vehicles."""
     mix: float | None = None
-    """Share of the first dataset in each epoch; None: as large as it is."""
+    """Share of the first dataset in each epoch; None: in proportion to its size."""
     augment: Mapping[str, float] = field(default_factory=dict)
-    """Changes of the images besides the recipe's."""
+    """Augmentations in addition to the recipe's."""
     after: str | None = None
-    """The training that it goes on from; None: random weights."""
-    legs: Sequence[str] = ()
-    """It learns in these legs of train_leg.py, which make their own datasets."""
+    """The training whose weights it starts from; None: random weights."""
+    stages: Sequence[str] = ()
+    """Stages of train_leg.py, which make their own datasets; empty: it trains in one run."""
     calibrated: bool = False
 
 
@@ -108,17 +109,17 @@ TRAININGS: Final = {
         after="varied",
         calibrated=True,
     ),
-    "road33": Training(after="world", legs=("1", "2", "3", "4"), calibrated=True),
-    "lite": Training(legs=("lite-1", "lite-2"), calibrated=True),
+    "road33": Training(after="world", stages=("1", "2", "3", "4"), calibrated=True),
+    "lite": Training(stages=("lite-1", "lite-2"), calibrated=True),
 }
 
 
 class TimeIsUpError(Exception):
-    """The limit came before the end; the same command goes on."""
+    """The time limit was reached before the end; the same command resumes."""
 
 
 class Clock:
-    """Runs commands on some GPUs until a limit of time for all of them together."""
+    """Runs commands on some GPUs, up to one time limit for all of them together."""
 
     def __init__(self, minutes: float, gpus: Sequence[str], *, grace_s: float = GRACE_S) -> None:
         self._end = time.monotonic() + 60 * minutes
@@ -131,15 +132,15 @@ class Clock:
         self._run([["-m", *several, "skope", "train", *options]], [",".join(self._gpus)])
 
     def script(self, name: str, *options: str) -> None:
-        """Run a script beside this one, which shares out the GPUs itself."""
+        """Run a script of this folder, which distributes the GPUs itself."""
         self._run([[str(HERE / name), *options]], [",".join(self._gpus)])
 
     def run(self, *commands: Sequence[str]) -> None:
-        """Run `skope ...` side by side, each on one GPU."""
+        """Run `skope ...` commands in parallel, each on one GPU."""
         self._run([["-m", "skope", *command] for command in commands], self._gpus)
 
     def _run(self, commands: Sequence[Sequence[str]], devices: Sequence[str]) -> None:
-        """Run `python ...` side by side; stop them gently when time is up, exit when one fails."""
+        """Run `python ...` commands in parallel; stop them gently at the time limit, and exit if one fails."""
         running = []
         for command, device in zip(commands, itertools.cycle(devices), strict=False):
             environment = {**os.environ, "CUDA_VISIBLE_DEVICES": device}
@@ -162,7 +163,7 @@ class Clock:
 
 
 def make(clock: Clock, data: Path, names: Sequence[str]) -> None:
-    """Simulate what is not simulated, on a machine that can, and draw what has no images."""
+    """Simulate the missing recordings, on a machine that can, and render those without images."""
     for name in names:
         if (data / name / CARD_FILE).is_file():
             continue
@@ -172,7 +173,7 @@ def make(clock: Clock, data: Path, names: Sequence[str]) -> None:
 
 
 def train(clock: Clock, options: argparse.Namespace, training: Training) -> Path:
-    """Train, or go on; returns the weights."""
+    """Train or resume; returns the weights."""
     run: Path = options.out / "run"
     if not (run / ".trained").is_file():
         new = ["--recipe", str(HERE / "recipes" / training.recipe)]
@@ -190,17 +191,17 @@ def train(clock: Clock, options: argparse.Namespace, training: Training) -> Path
     return find_checkpoint(run)
 
 
-def learn_in_legs(clock: Clock, options: argparse.Namespace, training: Training) -> Path:
-    """Do the legs that are not done; returns the weights of the last one."""
+def train_in_stages(clock: Clock, options: argparse.Namespace, training: Training) -> Path:
+    """Train the stages that are not finished; returns the weights of the last one."""
     begin = ["--init", str(options.out.parent / training.after / PACKED)] if training.after else []
     always = ["--data", str(options.data / "legs"), "--gpus", options.gpus, "--loaders", str(options.workers)]
-    always += ["--workers", str(os.cpu_count()), "--minutes", str(LEG_MINUTES)]
-    for name in training.legs:
-        leg: Path = options.out / f"leg_{name}"
-        if not (leg / ".learnt").is_file():
-            clock.script("train_leg.py", "run", name, *begin, *always, "--out", str(leg))
-            (leg / ".learnt").touch()
-        begin = ["--state", str(leg / "state")]
+    always += ["--workers", str(os.cpu_count()), "--minutes", str(STAGE_MINUTES)]
+    for name in training.stages:
+        stage_folder: Path = options.out / f"leg_{name}"
+        if not (stage_folder / ".learnt").is_file():
+            clock.script("train_leg.py", "run", name, *begin, *always, "--out", str(stage_folder))
+            (stage_folder / ".learnt").touch()
+        begin = ["--state", str(stage_folder / "state")]
     weights: Path = options.out / "joined.safetensors"
     if not weights.is_file():
         clock.script("train_leg.py", "join", begin[-1], "--out", str(weights))
@@ -208,40 +209,40 @@ def learn_in_legs(clock: Clock, options: argparse.Namespace, training: Training)
 
 
 def calibrate(clock: Clock, options: argparse.Namespace, full: Path) -> Path:
-    """Give the scores their meaning on places of their own."""
+    """Calibrate the scores on places that were not trained on."""
     out: Path = options.out / "calibrated.safetensors"
     if not out.is_file():
-        what = ["--data", str(options.data / CALIBRATION), "--split", "train", "--last", "1", "--score", "0.5"]
-        clock.run(["eval", "calibrate-scores", "--checkpoint", str(full), *what, "--out", str(out)])
+        arguments = ["--data", str(options.data / CALIBRATION), "--split", "train", "--last", "1", "--score", "0.5"]
+        clock.run(["eval", "calibrate-scores", "--checkpoint", str(full), *arguments, "--out", str(out)])
     return out
 
 
 def measure(clock: Clock, options: argparse.Namespace, forms: Mapping[str, Path]) -> None:
-    """All tests with all forms of the weights side by side: one leaves most of a GPU idle."""
+    """Run all tests with all forms of the weights in parallel, because one test leaves most of a GPU idle."""
     commands = []
     for form, name in itertools.product(forms, TESTS):
         out = options.out / form / name
         if not (out / "metrics.json").is_file():
-            what = ["--data", str(options.data / name), "--checkpoint", str(forms[form]), "--split", TESTS[name]]
-            commands.append(["eval", *what, "--out", str(out), "--batch-size", "8"])
+            arguments = ["--data", str(options.data / name), "--checkpoint", str(forms[form]), "--split", TESTS[name]]
+            commands.append(["eval", *arguments, "--out", str(out), "--batch-size", "8"])
     clock.run(*commands)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("training", choices=tuple(TRAININGS))
-    parser.add_argument("--data", type=Path, default=Path("data"), help="folder of the datasets' folders")
-    parser.add_argument("--out", type=Path, help="by default runs/reference/TRAINING")
-    parser.add_argument("--gpus", default="0", help="numbers, separated by commas")
-    parser.add_argument("--images", type=int, help="of `paper` and `varied`: images to learn from (10500)")
-    parser.add_argument("--workers", type=int, default=8, help="processes that load images, a GPU")
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="stop, resumably, after so many")
+    parser.add_argument("--data", type=Path, default=Path("data"), help="folder that contains the dataset folders")
+    parser.add_argument("--out", type=Path, help="default: runs/reference/TRAINING")
+    parser.add_argument("--gpus", default="0", help="GPU numbers, separated by commas")
+    parser.add_argument("--images", type=int, help="images to train on, for `paper` and `varied` (10500)")
+    parser.add_argument("--workers", type=int, default=8, help="processes per GPU that load images")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="stop after this time; it can be resumed")
     options = parser.parse_args()
     options.out = options.out or Path("runs/reference") / options.training
     training, clock = TRAININGS[options.training], Clock(options.minutes, options.gpus.split(","))
     try:
         make(clock, options.data, training.datasets)
-        full = (learn_in_legs if training.legs else train)(clock, options, training)
+        full = (train_in_stages if training.stages else train)(clock, options, training)
         packed = options.out / PACKED
         make(clock, options.data, [CALIBRATION])
         full = calibrate(clock, options, full) if training.calibrated else full
@@ -251,7 +252,7 @@ def main() -> None:
         make(clock, options.data, tuple(TESTS))
         measure(clock, options, {"full": full, "packed": packed})
     except TimeIsUpError:
-        print("time is up: the same command goes on")
+        print("time limit reached: run the same command to resume")
         sys.exit(75)
     print("done")
 

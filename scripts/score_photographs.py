@@ -3,14 +3,14 @@
     python scripts/score_photographs.py FOLDER --checkpoint runs/skope --out runs/real
     python scripts/score_photographs.py FOLDER --predictions results.json --out runs/real
 
-FOLDER holds the photographs and one COCO keypoints JSON of scheme skope33. A keypoint counts where v = 2; v = 0 means
-not labelled. An image's `scene` or `site` names its camera; `boxes_complete` false says that not all of its vehicles
-have a box, so that it counts for keypoints only. A box with `iscrowd` 1 is a region where a detection is neither right
-nor wrong.
+FOLDER holds the photographs and one COCO keypoints JSON of scheme skope33. Keypoints with v = 2 are scored; v = 0 means
+not labelled. An image's `scene` or `site` names its camera. `boxes_complete` false means that not all of its vehicles
+have a box; such an image is used for keypoints only. A box with `iscrowd` 1 is a region where detections are neither
+right nor wrong.
 
-Writes metrics.json, predictions.json, sheets of labels beside predictions, and adds a line to looks.jsonl, a record of
-how often these photographs were looked at: what development has looked at is no test. A folder with other work in it,
-of other labels, weights or options, is refused.
+Writes metrics.json, predictions.json and sheets of labels beside predictions. It also adds a line to looks.jsonl, a
+record of how often these photographs were used, because photographs that were used in development are no test. An
+output folder that holds other work (of other labels, weights or options) is rejected.
 """
 
 import argparse
@@ -47,26 +47,26 @@ from skope.schema import Annotation, AnnotationFile, Result
 from skope.terminal.console import Console
 
 IOU: Final = 0.5
-"""Overlap from which a detection takes a vehicle."""
+"""Lowest overlap at which a detection matches a vehicle."""
 LOWEST_PX: Final = 14.0
-"""Vehicles lower than this are not labelled: a detection that is lower and took none is neither right nor wrong."""
+"""Vehicles lower than this are not labelled; an unmatched detection below this height is neither right nor wrong."""
 BANDS_PX: Final = ((0, 32), (32, 64), (64, 128), (128, math.inf))
-"""Heights of ground-truth boxes, from and below."""
+"""Ranges of heights of ground-truth boxes: from, and below."""
 EXCHANGES: Final = {
     "left_right": np.array(FLIP),
     "front_rear": np.array(OTHER_END),
     "turned": np.array([FLIP[i] for i in OTHER_END]),
 }
-"""Kind of flip -> (33,) index of the keypoint that each keypoint is taken for."""
+"""Kind of flip -> (33,) index of the keypoint that each keypoint is confused with."""
 FEWEST_POINTS: Final = 4
-"""Labelled keypoints of a vehicle that it takes to call it flipped."""
+"""Fewest labelled keypoints for which a vehicle can be called flipped."""
 FARTHEST_PX: Final = 1e6
-"""Of boxes and keypoints that are taken for what they are."""
+"""Largest coordinate of boxes and keypoints that is accepted."""
 RESAMPLES: Final = 2000
 PANEL_PX: Final = 1280
 """Width of a photograph on a sheet."""
 ROWS: Final = 2
-"""Photographs on a sheet, few enough for it to be read at full size."""
+"""Photographs per sheet, few enough to read a sheet at full size."""
 OPTIONS: Final = MetricOptions(alpha=0.1, iou=(IOU,))
 UNNAMED: Final = "unnamed"
 
@@ -78,7 +78,7 @@ class Photographs:
     """Labelled photographs; each image's `site` is its scene."""
 
     source: Path
-    """The annotation file, in the folder that file names are relative to."""
+    """The annotation file; file names are relative to its folder."""
     file: AnnotationFile
     complete: frozenset[int]
     """Ids of the images on which every vehicle has a box."""
@@ -86,7 +86,7 @@ class Photographs:
 
 @dataclass(frozen=True, kw_only=True)
 class Vehicle:
-    """A vehicle with labelled keypoints, and what was found of it."""
+    """A vehicle with labelled keypoints, and its detection."""
 
     id: int
     scene: str
@@ -95,9 +95,9 @@ class Vehicle:
     """Number of keypoints with v = 2."""
     matched: bool
     found: int
-    """Keypoints found; none of an unmatched vehicle."""
+    """Number of keypoints found; 0 for an unmatched vehicle."""
     in_given: int
-    """Keypoints found in the ground-truth box."""
+    """Number of keypoints found in the ground-truth box."""
     flip: str | None
     """Key of `EXCHANGES`."""
 
@@ -106,13 +106,16 @@ class Vehicle:
 
 
 def read_photographs(path: Path) -> Photographs:
-    """The photographs of a folder that has one JSON, or of the annotation file `path`; a UserError where some lack."""
+    """Read the photographs of a folder with one JSON file, or of the annotation file `path`.
+
+    Raises UserError if one is missing.
+    """
     source = path
     if path.is_dir():
         found = sorted(path.glob("*.json"))
         if len(found) != 1:
-            there = ", ".join(p.name for p in found) or "none"
-            raise UserError(f"{path}: expected one annotation file (*.json) in this folder, found {there}")
+            names = ", ".join(p.name for p in found) or "none"
+            raise UserError(f"{path}: expected one annotation file (*.json) in this folder, found {names}")
         (source,) = found
     file = coco.read(source)
     if file.scheme.name != keypoints.SCHEME:
@@ -137,7 +140,7 @@ def read_photographs(path: Path) -> Photographs:
 
 
 def check_places(records: str, rows: Sequence[Annotation] | Sequence[Result]) -> None:
-    """Raise a UserError where a box or keypoint is so far off that its area or distance is no number any more."""
+    """Raise a UserError if a box or keypoint is so far away that its area or distance overflows."""
     for i, row in enumerate(rows):
         for name, values in (("bbox", row.bbox), ("keypoints", row.keypoints)):
             if (farthest := float(np.abs(values).max())) > FARTHEST_PX:
@@ -150,9 +153,9 @@ def check_places(records: str, rows: Sequence[Annotation] | Sequence[Result]) ->
 def score_photographs(
     photographs: Photographs, results: Sequence[Result], given: Sequence[Result] | None, score: float
 ) -> Figures:
-    """All figures: of all photographs, of each scene, and (keypoints only) of each band of heights and each vehicle.
+    """Compute all figures: of all photographs, each scene, and (keypoints only) each range of heights and each vehicle.
 
-    `given` are results in the ground-truth boxes, None where there are none. A ratio without a denominator is None.
+    `given` are results in the ground-truth boxes, None without them. A ratio without a denominator is None.
     """
     file = photographs.file
     vehicles = judge_vehicles(file, results, given, score)
@@ -175,7 +178,9 @@ def score_photographs(
         "all": figures(scenes),
         "keypoints_of_all_interval_90": scene_interval(vehicles, np.random.default_rng(0)),
         "scenes": {scene: figures([scene]) for scene in scenes},
-        "heights_px": {band: keypoint_figures(own, in_given=given is not None) for band, own in bands.items()},
+        "heights_px": {
+            band: keypoint_figures(band_vehicles, in_given=given is not None) for band, band_vehicles in bands.items()
+        },
         "vehicles": {
             str(v.id): {"labelled": v.labelled, "found": v.found, "found_in_given_boxes": v.in_given} for v in vehicles
         },
@@ -183,14 +188,17 @@ def score_photographs(
 
 
 def matched(file: AnnotationFile, results: Sequence[Result]) -> Matches:
-    """All of `results`, matched at one IoU. Those above any score are matched alike without the others."""
+    """Match all of `results` at one IoU.
+
+    Results above any score match the same way without the others.
+    """
     return match(file, results, score=-1.0, thresholds=(IOU,))
 
 
 def judge_vehicles(
     file: AnnotationFile, results: Sequence[Result], given: Sequence[Result] | None, score: float
 ) -> list[Vehicle]:
-    """The vehicles of `file` that have labelled keypoints, beside the detections that score `score` or more."""
+    """Compare the vehicles of `file` that have labelled keypoints with the detections that score at least `score`."""
     matches = matched(file, [result for result in results if result.score >= score])
     outcomes = outcomes_at(matches, IOU, OPTIONS)
     found = outcomes.correct(OPTIONS.alpha).sum(axis=1)
@@ -213,9 +221,10 @@ def judge_vehicles(
 
 
 def flip_of(vehicle: Annotation, predicted: NDArray[np.float64]) -> str | None:
-    """The exchange of `predicted`, (33, 3), that fits a vehicle best and clearly better than none; None without one.
+    """Return the exchange of `predicted` (33, 3) that fits a vehicle best and clearly better than none.
 
-    Clearly better: a share of keypoints found that is higher by 0.25 or more, and a mean distance lower by a third.
+    Clearly better: the share of keypoints found is higher by at least 0.25, and the mean distance is lower by at least
+    a third. None without such an exchange.
     """
     labelled = vehicle.keypoints[:, 2] == 2
     count = int(labelled.sum())
@@ -233,7 +242,7 @@ def flip_of(vehicle: Annotation, predicted: NDArray[np.float64]) -> str | None:
 
 
 def keypoint_figures(vehicles: Sequence[Vehicle], *, in_given: bool) -> Figures:
-    """Keypoints found: of all that are labelled, of those of matched vehicles, and in given boxes; and flips."""
+    """Count the keypoints found: of all labelled ones, of those of matched vehicles, and in given boxes; and flips."""
     labelled = sum(v.labelled for v in vehicles)
     of_matched = sum(v.labelled for v in vehicles if v.matched)
     found, inside = sum(v.found for v in vehicles), sum(v.in_given for v in vehicles)
@@ -255,7 +264,7 @@ def keypoint_figures(vehicles: Sequence[Vehicle], *, in_given: bool) -> Figures:
 
 
 def scene_interval(vehicles: Sequence[Vehicle], rng: np.random.Generator) -> list[float] | None:
-    """90% interval of the share of all labelled keypoints that are found, from scenes drawn with replacement."""
+    """Return the 90% interval of the share of labelled keypoints that are found, by drawing scenes with replacement."""
     scenes = sorted({v.scene for v in vehicles})
     if not scenes:
         return None
@@ -268,10 +277,10 @@ def scene_interval(vehicles: Sequence[Vehicle], rng: np.random.Generator) -> lis
 
 
 def box_figures(file: AnnotationFile, results: Sequence[Result], score: float) -> Figures:
-    """Precision and recall of boxes on the images of `file`, whose boxes must be complete.
+    """Compute precision and recall of boxes on the images of `file`, whose boxes must be complete.
 
-    A detection that took no vehicle is left out where half of it or more lies in one ignored region, or where it is
-    lower than `LOWEST_PX`.
+    An unmatched detection is not counted if at least half of it lies in one ignored region, or if it is lower than
+    `LOWEST_PX`.
     """
     matches = matched(file, results)
     hit = matches.taken[IOU] >= 0
@@ -306,7 +315,7 @@ def _ratio(numerator: int, denominator: int) -> float | None:
 
 
 def table(metrics: Mapping[str, Any]) -> str:
-    """Figures in aligned columns, a line for each scene and each band of heights."""
+    """Format the figures in aligned columns, with a row for each scene and each range of heights."""
     rows = [["", "frames", "complete", "vehicles", "AP", "AP50", "R@P.90", "R@P.95", "precision", "recall"]]
     rows[0] += ["phantoms/frame", "matched", "points", "found", "of matched", "in given", "flips"]
     for name, entry in (*metrics["scenes"].items(), ("all", metrics["all"])):
@@ -314,7 +323,10 @@ def table(metrics: Mapping[str, Any]) -> str:
         rows.append([name, str(entry["images"]), str(boxes["complete_frames"]), str(boxes["vehicles"])])
         shares = (boxes["ap"], boxes["ap50"], *(at[p]["recall"] for p in at), boxes["precision"], boxes["recall"])
         rows[-1] += [*map(_cell, shares), _cell(boxes["phantoms_a_frame"]), *_keypoint_cells(entry["keypoints"])]
-    rows += [[f"{band} px high", *[""] * 10, *_keypoint_cells(own)] for band, own in metrics["heights_px"].items()]
+    rows += [
+        [f"{band} px high", *[""] * 10, *_keypoint_cells(band_figures)]
+        for band, band_figures in metrics["heights_px"].items()
+    ]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join(
         "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))])
@@ -322,9 +334,14 @@ def table(metrics: Mapping[str, Any]) -> str:
     )
 
 
-def _keypoint_cells(own: Mapping[str, Any]) -> list[str]:
-    shares = (own["share_of_all"], own["share_of_matched"], own["share_in_given_boxes"])
-    return [f"{own['matched']}/{own['vehicles']}", str(own["labelled"]), *map(_cell, shares), str(own["flips"])]
+def _keypoint_cells(figures: Mapping[str, Any]) -> list[str]:
+    shares = (figures["share_of_all"], figures["share_of_matched"], figures["share_in_given_boxes"])
+    return [
+        f"{figures['matched']}/{figures['vehicles']}",
+        str(figures["labelled"]),
+        *map(_cell, shares),
+        str(figures["flips"]),
+    ]
 
 
 def _cell(value: float | None) -> str:
@@ -332,7 +349,7 @@ def _cell(value: float | None) -> str:
 
 
 def write_sheets(photographs: Photographs, results: Sequence[Result], score: float, out: Path) -> list[Path]:
-    """sheet_01.jpg and so on: labels beside predictions, a few photographs each; those of an earlier look go."""
+    """Write sheet_01.jpg and so on, a few photographs each with labels beside predictions; removes older sheets."""
     for old in out.glob("sheet_[0-9][0-9].jpg"):
         old.unlink()
     vehicles, paths = photographs.file.by_image(), []
@@ -359,7 +376,7 @@ def _shrunk(pixels: draw.Pixels) -> draw.Pixels:
 
 
 def log_look(path: Path, metrics: Mapping[str, Any]) -> None:
-    """Append a line with the time, what was scored, and its main figures."""
+    """Append a line with the time, the input, and the main figures."""
     boxes, points = metrics["all"]["boxes"], metrics["all"]["keypoints"]
     line = {"time": datetime.now(UTC).isoformat(timespec="seconds")}
     line |= {name: metrics[name] for name in ("annotations", "checkpoint", "predictions", "sha256", "score")}
@@ -383,7 +400,7 @@ def run(options: argparse.Namespace) -> None:
     photographs = read_photographs(options.photographs)
     root, out = photographs.source.parent, options.out
     if out.resolve().is_relative_to(root.resolve()):
-        raise UserError(f"--out: {out} is inside the photographs' folder {root}, which is left as it is")
+        raise UserError(f"--out: {out} is inside the photographs' folder {root}, which this script does not change")
     given = weights = None
     if options.checkpoint:
         settings = Settings(device=options.device, backend=options.backend, precision=options.precision)
@@ -414,38 +431,40 @@ def run(options: argparse.Namespace) -> None:
     sheets = write_sheets(photographs, results, options.score, out)
     print(table(metrics))
     interval = metrics["keypoints_of_all_interval_90"]
-    print(f"keypoints found, 90% over scenes: {' to '.join(map(_cell, interval)) if interval else '-'}")
+    print(f"keypoints found, 90% interval over scenes: {' to '.join(map(_cell, interval)) if interval else '-'}")
     print(f"Wrote metrics.json, predictions.json, looks.jsonl and {len(sheets)} sheets to {out}")
 
 
 def claim_folder(options: argparse.Namespace, photographs: Photographs, scored: Iterable[Path]) -> None:
-    """Take the output folder; a UserError where it holds other work than that of the labels and the files `scored`."""
-    told = {"score": options.score, **computed_by(options)}
-    claim_output(options.out, "score_photographs.py", [photographs.source, *scored], told)
+    """Claim the output folder; a UserError if it holds other work than that of the labels and the files `scored`."""
+    settings = {"score": options.score, **computed_by(options)}
+    claim_output(options.out, "score_photographs.py", [photographs.source, *scored], settings)
 
 
 def computed_by(options: argparse.Namespace) -> dict[str, str | None]:
-    """What computed the predictions, and in which number format, where this script made them."""
+    """Return the backend and number format of predictions that this script made."""
     if not options.checkpoint:
         return {"backend": None, "number_format": None}
     return {"backend": options.backend, "number_format": options.precision}
 
 
 def predict(predictor: Predictor, photographs: Photographs) -> tuple[Result, ...]:
-    """What is found, as a results file has it: rounded, so that scoring the file gives the same figures."""
+    """Predict, rounded as in a results file, so that scoring that file gives the same figures."""
     found = predictor.split(photographs.file, photographs.source.parent)
     return tuple(coco.result_from_dict(coco.result_to_dict(result)) for result in found)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("photographs", type=Path, metavar="FOLDER", help="of the photographs, or their COCO JSON")
+    parser.add_argument(
+        "photographs", type=Path, metavar="FOLDER", help="folder of the photographs, or their COCO JSON"
+    )
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--checkpoint", type=Path, help="a checkpoint, or the folder of a run")
     source.add_argument("--predictions", type=Path, help="a COCO results file")
     parser.add_argument("--out", type=Path, default=Path("runs/real"))
     parser.add_argument("--device", default="auto", help="auto, cpu, cuda or cuda:N")
-    parser.add_argument("--score", type=float, default=0.5, help="a detection counts from this score")
+    parser.add_argument("--score", type=float, default=0.5, help="lowest score of detections that count")
     parser.add_argument("--backend", choices=BACKEND_CHOICES, default="torch")
     parser.add_argument("--precision", choices=PRECISION_CHOICES, default="float32")
     try:

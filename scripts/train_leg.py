@@ -1,19 +1,19 @@
-"""Train a shipped detector for as long as a machine is to be had: one leg, whole, within a time that is told.
+"""Train a shipped detector in stages, each of which finishes within a given time on a machine.
 
     python scripts/train_leg.py run 2 --state runs/legs/1 --minutes 24 --gpus 0,1 --out runs/legs/2
     python scripts/train_leg.py join runs/legs/2 --out road33_2.safetensors
 
-A leg (legs.toml) goes on from the weights of the one before. Its places are simulated and drawn beside the training,
-which runs in rounds: each learns from all that is drawn when it begins, at a constant rate (recipes/), and
-hands the running mean of its weights to the next; the last one may have a lower rate. At the end the tests are
-measured, and the weights are packed for the way: in 16 bits, norms and counts as they are, in parts of at most 15 MiB
-with their SHA-256 in parts.json. `join` puts them together again where all are there and whole. leg.json has what was
-done and found.
+A stage (legs.toml) starts from the weights of the previous one. Its places are simulated and rendered while it trains.
+Training has rounds: each trains on all places that are rendered when it begins, at a constant rate (recipes/), and
+passes the running mean of its weights to the next; the last round may have a lower rate. At the end the tests are
+measured, and the weights are packed for transfer: in 16 bits (norms and counts unchanged), in parts of at most 15 MiB
+with their SHA-256 in parts.json. `join` puts them together again if all parts are present and undamaged. leg.json
+records the steps and the figures.
 
-Legs that have the same places can learn side by side, each on a GPU of its own: one makes them, the others run with
---workers 0 and the same --data.
+Stages that have the same places can train in parallel, each on a GPU of its own: one makes the places, the others run
+with --workers 0 and the same --data.
 
-What is finished is not done again: after an interruption the same command goes on. --miniature tries a leg on a laptop.
+Finished steps are not repeated: after an interruption the same command resumes. --miniature tries a stage on a laptop.
 """
 
 import argparse
@@ -47,70 +47,73 @@ HERE: Final = Path(__file__).parent
 PART_BYTES: Final = 15 * 2**20
 PARTS: Final = "parts.json"
 ROUND_S: Final = 240.0
-"""A round lasts so long, the last one until training has to end."""
+"""Duration of a round; the last one lasts until training has to end."""
 LEAST_ROUND_S: Final = 60.0
 MEASURING_S: Final = 150.0
-"""Of a leg's time, for measuring and packing."""
+"""Part of a stage's time that is kept for measuring and packing."""
 RANDOM: Final = "random"
-"""Where a leg begins from nothing."""
+"""Start of a stage with random weights."""
 AT_ONCE: Final = 4
-"""Datasets that are simulated side by side."""
+"""Number of datasets that are simulated in parallel."""
 TESTS_AFTER: Final = 5
-"""So many datasets to learn from are made before the tests."""
+"""Number of training datasets that are made before the tests."""
 TINY_PLACES: Final = {"--frames": "1", "--size": "480x270"}
 TINY_SETTINGS: Final = ("min_size=120", "max_size=214", "batch_size=1", "bfloat16=false", "keypoint_regions=4")
-"""What --miniature sets otherwise."""
+"""Settings that --miniature changes."""
 
 
 @dataclass(frozen=True)
-class Leg:
-    """What a leg learns from, and from where it goes on."""
+class Stage:
+    """Data and settings of a training stage, and the weights that it starts from."""
 
     name: str
     start: str
-    """`RANDOM`, or empty: it goes on from the weights of --init, or of the leg before, --state."""
+    """`RANDOM`, or empty: it starts from the weights of --init, or of the previous stage, --state."""
     places: Mapping[str, str]
     """Datasets: name -> options of `skope gen simulate`."""
     recipe: str
-    """A recipe's file beside this one."""
+    """Name of a recipe file in the folder recipes."""
     settings: tuple[str, ...] = ()
     """Values of the recipe, as --set takes them."""
     last: tuple[str, ...] = ()
-    """More of them, for the last round."""
+    """Further values for the last round."""
 
 
 def named_places(row: Mapping[str, Any], lists: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """A leg's datasets by name: a list of its own, or the name of the leg that has it."""
+    """Return a stage's datasets by name: its own list, or that of the stage whose name it gives."""
     owner = row["places"] if isinstance(row["places"], str) else row["name"]
     return {f"leg_{owner}_{number}": text for number, text in enumerate(lists[owner], start=1)}
 
 
-def read_legs(path: Path = HERE / "legs.toml") -> tuple[dict[str, Leg], dict[str, dict[str, str]]]:
-    """The legs by name, and the tests: dataset -> its `places` and `splits`."""
+def read_stages(path: Path = HERE / "legs.toml") -> tuple[dict[str, Stage], dict[str, dict[str, str]]]:
+    """Read the stages by name, and the tests: dataset -> its `places` and `splits`."""
     values = tomllib.loads(path.read_text())
-    own = {row["name"]: row["places"] for row in values["legs"] if isinstance(row["places"], list)}
-    legs = [
-        Leg(
+    place_lists = {row["name"]: row["places"] for row in values["legs"] if isinstance(row["places"], list)}
+    stages = [
+        Stage(
             name=row["name"],
             start=row.get("start", ""),
-            places=named_places(row, own),
+            places=named_places(row, place_lists),
             recipe=row.get("recipe", "leg.toml"),
             settings=tuple(row.get("settings", ())),
             last=tuple(row.get("last", ())),
         )
         for row in values["legs"]
     ]
-    return {leg.name: leg for leg in legs}, values["tests"]
+    return {stage.name: stage for stage in stages}, values["tests"]
 
 
 # ------------------------------------------------------------------------------------------------------------- places
 
 
 class Places:
-    """Datasets that are simulated and drawn beside whatever else the machine does, in their order."""
+    """Datasets that are simulated and rendered in the background, in the given order."""
 
     def __init__(self, folder: Path, wanted: Mapping[str, str], workers: int) -> None:
-        """Begin with the datasets of `wanted`, name -> options of `skope gen simulate`; 0 workers: others make them."""
+        """Start with the datasets of `wanted`, name -> options of `skope gen simulate`.
+
+        With 0 workers another run makes them.
+        """
         self._folder, self._wanted, self._workers = folder, tuple(wanted), workers
         self._changed = threading.Condition()
         self._running: set[subprocess.Popen[bytes]] = set()
@@ -125,7 +128,7 @@ class Places:
 
     @property
     def drawn(self) -> list[str]:
-        """Names of the datasets that are there."""
+        """Names of the datasets that exist."""
         return [name for name in self._wanted if (self._folder / name / CARD_FILE).is_file()]
 
     def _simulate(self, name: str, options: str) -> None:
@@ -134,7 +137,7 @@ class Places:
         self._skope("10", "gen", "simulate", "-q", *words)
 
     def _draw(self, simulated: Mapping[str, Future[None]]) -> None:
-        """Draw one after the other what is simulated."""
+        """Render the simulated datasets one after the other."""
         for name, done in simulated.items():
             try:
                 done.result()
@@ -146,7 +149,7 @@ class Places:
                 self._changed.notify_all()
 
     def _skope(self, niceness: str, *command: str) -> None:
-        """Run a command, kinder to the machine than the training."""
+        """Run a command with a lower priority than the training."""
         if self._stopped:
             raise CancelledError
         whole = ["nice", "-n", niceness, sys.executable, "-m", "skope", *command]
@@ -158,14 +161,17 @@ class Places:
             raise subprocess.CalledProcessError(code, whole)
 
     def wait_for(self, names: Sequence[str], until: float) -> list[str]:
-        """Those of `names` that are drawn, as soon as all are, or nothing more comes, or it is `until`, monotonic."""
+        """Return the finished datasets among `names`.
+
+        Waits until all of them are finished, nothing more is coming, or the monotonic time is `until`.
+        """
         with self._changed:
             while not set(names) <= set(self.drawn) and self._left and time.monotonic() < until:
                 self._changed.wait(1.0)
             return [name for name in names if name in self.drawn]
 
     def stop(self) -> None:
-        """End what is being made; what is half made goes on another time."""
+        """Stop all running work; unfinished datasets resume later."""
         self._stopped = True
         for process in list(self._running):
             process.terminate()
@@ -174,7 +180,10 @@ class Places:
 
 
 def placed(options: str, miniature: bool) -> str:
-    """Options of a dataset's places, with the sites' names, and in a miniature fewer and smaller."""
+    """Return the options of a dataset with the names of the sites inserted.
+
+    A miniature has fewer and smaller frames.
+    """
     text = options.format(train=TRAIN, tested=TESTED, extra=EXTRA)
     if not miniature:
         return text
@@ -192,7 +201,7 @@ def placed(options: str, miniature: bool) -> str:
 
 def train_round(
     options: argparse.Namespace,
-    leg: Leg,
+    stage: Stage,
     number: int,
     start: Path | None,
     data: Sequence[Path],
@@ -200,18 +209,18 @@ def train_round(
     *,
     last: bool,
 ) -> Path | None:
-    """Train on some datasets for so long, from weights or from nothing; returns the mean weights.
+    """Train on some datasets for `seconds`, from weights or from scratch; returns the mean weights.
 
-    Where it ended before anything was saved, these are those that it began with.
+    If it ended before anything was saved, it returns the weights that it started with.
     """
     run: Path = options.out / f"round_{number}"
     weights = run.with_suffix(".safetensors")
     if weights.is_file():
         return weights
-    settings = (*leg.settings, *(leg.last if last else ()))
+    settings = (*stage.settings, *(stage.last if last else ()))
     if options.miniature:
         settings = (*settings, *TINY_SETTINGS)
-    new = ["--recipe", str(HERE / "recipes" / leg.recipe), "--init", str(start or RANDOM), "--seed", str(number)]
+    new = ["--recipe", str(HERE / "recipes" / stage.recipe), "--init", str(start or RANDOM), "--seed", str(number)]
     new += [word for setting in settings for word in ("--set", setting)]
     if number > 1:
         new += ["--set", "warmup_steps=50"]
@@ -227,7 +236,7 @@ def train_round(
     if not resumable(run):
         note(options.out, f"round {number}", "ended before anything was saved")
         return start
-    row = write_mean(run, weights, f"round {number} of leg {leg.name}")
+    row = write_mean(run, weights, f"round {number} of training stage {stage.name}")
     images = sum(len(open_dataset(folder).read("train").images) for folder in data)
     seconds = round(time.monotonic() - begun)
     visits = row["epochs"] * images + row["steps_of_the_last"] * row["batch_size"]
@@ -236,7 +245,7 @@ def train_round(
 
 
 def write_mean(run: Path, out: Path, origin: str) -> dict[str, Any]:
-    """Write the running mean of a run's weights as a checkpoint; returns how far the run has come."""
+    """Write the running mean of a run's weights as a checkpoint; returns the progress of the run."""
     state = torch.load(run / "resume.pt", map_location="cpu", weights_only=True)
     config = DetectorConfig.from_dict(state["detector"])
     model = build(config, trainable_layers=5)
@@ -258,8 +267,8 @@ def write_mean(run: Path, out: Path, origin: str) -> dict[str, Any]:
 
 
 def measure(options: argparse.Namespace, forms: Mapping[str, Path], seconds: float) -> dict[str, Any]:
-    """Figures of the tests that are there, of each form of the weights."""
-    _, tests = read_legs()
+    """Measure each form of the weights on the tests that exist; returns the figures."""
+    _, tests = read_stages()
     commands, outs = [], {}
     for form, weights in forms.items():
         for name, test in tests.items():
@@ -268,15 +277,22 @@ def measure(options: argparse.Namespace, forms: Mapping[str, Path], seconds: flo
             out = options.out / "measured" / form / name
             outs[form, name] = out
             if not (out / "metrics.json").is_file():
-                what = ["--data", str(options.data / name), "--checkpoint", str(weights), "--split", test["splits"]]
-                commands.append(["eval", *what, "--out", str(out), "--batch-size", "8"])
+                arguments = [
+                    "--data",
+                    str(options.data / name),
+                    "--checkpoint",
+                    str(weights),
+                    "--split",
+                    test["splits"],
+                ]
+                commands.append(["eval", *arguments, "--out", str(out), "--batch-size", "8"])
     gpus = options.gpus.split(",")
     clock = Clock(seconds / 60, gpus)
     try:
         for first in range(0, len(commands), 2 * len(gpus)):
             clock.run(*commands[first : first + 2 * len(gpus)])
     except TimeIsUpError:
-        print("time is up: not all tests are measured")
+        print("time limit reached: not all tests are measured")
     found: dict[str, Any] = {}
     for (form, name), out in outs.items():
         if (out / "metrics.json").is_file():
@@ -286,7 +302,7 @@ def measure(options: argparse.Namespace, forms: Mapping[str, Path], seconds: flo
 
 
 def in_short(figures: Mapping[str, Any]) -> dict[str, Any]:
-    """Of a split's figures those that legs are compared by."""
+    """Return the figures of a split by which stages are compared."""
     return {
         "box_ap50": figures["coco"]["box_ap50"],
         "keypoint_ap50": figures["coco"]["keypoint_ap50"],
@@ -304,7 +320,7 @@ def in_short(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def pack(weights: Path, out: Path) -> None:
-    """Write a checkpoint in 16 bits, in parts, with what `join` checks."""
+    """Write a checkpoint in 16 bits and in parts, with checksums for `join`."""
     header, state = read_checkpoint(weights)
     kept = {name: value.half() if halved(value) else value for name, value in state.items()}
     whole = serialized(kept, {HEADER_FIELD: json.dumps(header)})
@@ -319,45 +335,45 @@ def pack(weights: Path, out: Path) -> None:
 
 
 def halved(value: torch.Tensor) -> bool:
-    """Whether a tensor travels in 16 bits: matrices and kernels do, norms, biases and counts do not."""
+    """Return whether a tensor is packed in 16 bits: matrices and kernels are, norms, biases and counts are not."""
     return value.is_floating_point() and value.dim() > 1
 
 
 def join(folder: Path, out: Path) -> None:
-    """Put the parts of `pack` together as a checkpoint in float32.
+    """Join the parts of `pack` to a checkpoint in float32.
 
-    Raises UserError where a part is missing or is not what was packed, with its name.
+    Raises UserError, with the name of the part, if one is missing or damaged.
     """
     manifest = read_json(folder / PARTS)
     whole = bytearray()
     for part in manifest["parts"]:
         path = folder / part["name"]
         if not path.is_file():
-            raise UserError(f"{path}: missing; bring it again")
+            raise UserError(f"{path}: missing; copy it again")
         data = path.read_bytes()
         if hashlib.sha256(data).hexdigest() != part["sha256"]:
-            raise UserError(f"{path}: damaged (not the SHA-256 of {PARTS}); bring it again")
+            raise UserError(f"{path}: damaged (not the SHA-256 of {PARTS}); copy it again")
         whole += data
     if hashlib.sha256(whole).hexdigest() != manifest["sha256"]:
-        raise UserError(f"{folder}: the parts do not make the file that was packed")
+        raise UserError(f"{folder}: the joined parts are not the file that was packed")
     length = int.from_bytes(whole[:8], "little")
     header = json.loads(whole[8 : 8 + length])["__metadata__"]
     state = {name: value.float() if halved(value) else value for name, value in deserialized(bytes(whole)).items()}
     write_bytes(out, serialized(state, header))
 
 
-# ---------------------------------------------------------------------------------------------------------------- leg
+# -------------------------------------------------------------------------------------------------------------- stage
 
 
-def note(out: Path, what: str, values: Any) -> None:
-    """Add to leg.json."""
+def note(out: Path, key: str, values: Any) -> None:
+    """Add an entry to leg.json."""
     path = out / "leg.json"
-    write_json(path, {**(read_json(path) if path.is_file() else {}), what: values})
+    write_json(path, {**(read_json(path) if path.is_file() else {}), key: values})
 
 
-def begin(options: argparse.Namespace, leg: Leg) -> Path | None:
-    """The weights that a leg begins with; None: it begins from nothing."""
-    note(options.out, "start", "the leg before" if options.state else str(options.init or leg.start))
+def begin(options: argparse.Namespace, stage: Stage) -> Path | None:
+    """Return the weights that a stage starts with; None: random weights."""
+    note(options.out, "start", "previous stage" if options.state else str(options.init or stage.start))
     if not options.state:
         return find_checkpoint(options.init) if options.init else None
     start: Path = options.out / "start.safetensors"
@@ -367,21 +383,21 @@ def begin(options: argparse.Namespace, leg: Leg) -> Path | None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """A leg."""
+    """Run a training stage."""
     end = time.monotonic() + 60 * options.minutes
-    legs, tests = read_legs()
-    leg = legs[options.leg]
-    if not (leg.start or options.state or options.init):
-        raise UserError(f"leg {leg.name} goes on from weights: --state names those of the leg before, --init others")
+    stages, tests = read_stages()
+    stage = stages[options.leg]
+    if not (stage.start or options.state or options.init):
+        raise UserError(f"stage {stage.name} starts from weights: pass --state (the previous stage) or --init (others)")
     options.out.mkdir(parents=True, exist_ok=True)
-    wanted = dict(leg.places)
+    wanted = dict(stage.places)
     learnt = list(wanted)
-    # Most rounds need other places than the one before, more than the tests are needed before the end.
+    # Most rounds need more places than the round before, and need them earlier than the tests.
     order = [*learnt[:TESTS_AFTER], *tests, *learnt[TESTS_AFTER:]]
     wanted |= {name: test["places"] for name, test in tests.items()}
     places = Places(options.data, {name: placed(wanted[name], options.miniature) for name in order}, options.workers)
     try:
-        start = begin(options, leg)
+        start = begin(options, stage)
         weights, number = start, 0
         learning_ends = end - MEASURING_S
         while (left := learning_ends - time.monotonic()) > LEAST_ROUND_S:
@@ -393,7 +409,7 @@ def run(options: argparse.Namespace) -> None:
             number += 1
             last = left < 1.5 * ROUND_S
             data, seconds = [options.data / name for name in here], left if last else ROUND_S
-            weights = train_round(options, leg, number, weights, data, seconds, last=last)
+            weights = train_round(options, stage, number, weights, data, seconds, last=last)
         places.wait_for(list(tests), time.monotonic() + 5)
     finally:
         places.stop()
@@ -411,21 +427,27 @@ def run(options: argparse.Namespace) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
-    one = commands.add_parser("run", help="do a leg")
-    one.add_argument("leg", choices=tuple(read_legs()[0]))
-    one.add_argument("--state", type=Path, help="folder of the packed weights of the leg before")
-    one.add_argument("--init", type=Path, help="weights to begin with, of a leg before which there is none")
-    one.add_argument("--data", type=Path, default=Path("data/legs"), help="folder of the datasets' folders")
-    one.add_argument("--out", type=Path, required=True)
-    one.add_argument("--minutes", type=float, default=25.0, help="the whole leg's time")
-    one.add_argument("--gpus", default="0", help="numbers, separated by commas")
-    one.add_argument("--workers", type=int, default=2, help="processes that make places; 0: another run does")
-    one.add_argument("--loaders", type=int, default=8, help="processes that load images, a GPU")
-    one.add_argument("--measure-start", action="store_true", help="measure the weights that the leg begins with too")
-    one.add_argument("--miniature", action="store_true", help="the same with a frame of each place, small")
-    two = commands.add_parser("join", help="put packed weights together")
-    two.add_argument("folder", type=Path)
-    two.add_argument("--out", type=Path, required=True)
+    run_parser = commands.add_parser("run", help="run a training stage")
+    run_parser.add_argument("leg", choices=tuple(read_stages()[0]), help="name of the stage")
+    run_parser.add_argument("--state", type=Path, help="folder with the packed weights of the previous stage")
+    run_parser.add_argument("--init", type=Path, help="weights to start from, for a stage without a previous one")
+    run_parser.add_argument(
+        "--data", type=Path, default=Path("data/legs"), help="folder that contains the dataset folders"
+    )
+    run_parser.add_argument("--out", type=Path, required=True)
+    run_parser.add_argument("--minutes", type=float, default=25.0, help="time of the whole stage")
+    run_parser.add_argument("--gpus", default="0", help="GPU numbers, separated by commas")
+    run_parser.add_argument(
+        "--workers", type=int, default=2, help="processes that make places; 0: another run makes them"
+    )
+    run_parser.add_argument("--loaders", type=int, default=8, help="processes per GPU that load images")
+    run_parser.add_argument(
+        "--measure-start", action="store_true", help="also measure the weights that the stage starts with"
+    )
+    run_parser.add_argument("--miniature", action="store_true", help="one small frame of each place")
+    join_parser = commands.add_parser("join", help="join packed weights")
+    join_parser.add_argument("folder", type=Path)
+    join_parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     try:
         if options.command == "join":

@@ -1,15 +1,15 @@
-"""Compute from the fleet what `skope eval pose` knows of vehicles; takes ten minutes. Run after the fleet changes:
+"""Compute the shapes and keypoint visibilities that `skope eval pose` uses, from the fleet. Takes ten minutes.
 
     python scripts/vehicle_shapes.py
 
-It writes two files of skope/pose. Models that are held out for test sites are left out, so that evaluation meets
-shapes that were not used here.
+Run it after the fleet has changed. It writes two files of skope/pose. Models that are held out for test sites are left
+out, so that evaluation meets shapes that were not used here.
 
 vehicle_shapes.json is the shape space: mean and principal directions of the 33 keypoints and the dimensions of each
-body type. A model has the weight of its share of traffic. A type may have two models only. How much its other models
-may differ is taken from how much the models of all types differ from their type's mean, heavy and other vehicles
-apart, as shares of length, width and height. Trailers of articulated vehicles bend behind them, with a standard
-deviation of `BEND_DEG`.
+body type. The weight of a model is its share of traffic. A type may have only two models. The variation that its other
+models may have is therefore estimated from the models of all types: how much they differ from their type's mean, as
+shares of length, width and height, separately for heavy and other vehicles. Trailers of articulated vehicles bend
+behind them, with a standard deviation of `BEND_DEG`.
 
 keypoint_visibility.json has the directions from which each keypoint is visible past the vehicle's own body. Rays are
 cast from eyes around the models of each body type. The file holds a logistic regression on the direction from
@@ -33,19 +33,20 @@ from skope.gen.vehicles.fleet import build_vehicle, fleet, jittered
 from skope.gen.vehicles.model import ON_TRAILER, Vehicle, straight_mesh
 
 POOLED = 0.5
-"""Share of the other types' variance between models that is added to a type's own."""
+"""Share of the other types' variance between models that is added to a type's own variance."""
 DIRECTIONS = 8
 BEND_DEG = 3.0
 """Standard deviation of the angle between an articulated vehicle and its trailer, degrees."""
 BENDS = 2
-"""Angles to either side that each shape of an articulated vehicle is taken at."""
+"""Angles to each side at which each shape of an articulated vehicle is sampled."""
 Array = np.ndarray
 
 
 def row(vehicle: Vehicle, bend: float = 0.0) -> Array:
-    """(34, 3) keypoints and, last, length, width, height; metres. `bend` is the angle of a trailer, radians.
+    """Return keypoints and, in the last row, length, width and height, (34, 3) in metres.
 
-    The origin is on the road under the middle of the box around the whole vehicle, along the axes of its first part.
+    `bend` is the angle of a trailer, radians. The origin is on the road below the middle of the box around the whole
+    vehicle. The axes are those of its first part.
     """
     if vehicle.trailer is None:
         return np.concatenate([vehicle.points, [vehicle.size_lwh]])
@@ -59,26 +60,28 @@ def row(vehicle: Vehicle, bend: float = 0.0) -> Array:
 
 
 def text(values: Array) -> str:
-    """Numbers of a JSON list at 0.1 mm."""
+    """Format numbers for a JSON list, rounded to 0.1 mm."""
     return f"[{','.join(f'{value:.4f}' for value in (np.round(values, 4) + 0.0).ravel())}]"
 
 
 ELEVATIONS = np.radians([4, 10, 18, 28, 40, 55])
 DISTANCE = 25.0
 TOLERANCE = 0.05
-"""Metres; the same as for labels."""
+"""Metres; as for labels."""
 RIDGE = 0.02
-"""Penalty on weights, which keeps those of keypoints finite that are always or never visible."""
+"""Penalty on the weights, which keeps them finite for keypoints that are always or never visible."""
 
 
 def seen(vehicle: Vehicle, eye: Array) -> Array:
-    """(33,) whether keypoints are visible from an eye; a wheel's is the middle of its outer face."""
+    """Return whether keypoints (33,) are visible from an eye; wheels count as the middle of their outer faces."""
     wheels = list(keypoints.WHEELS)
-    own, hitched = vehicle.parts[1:5], vehicle.parts[6:]
+    main_wheels, hitched = vehicle.parts[1:5], vehicle.parts[6:]
     places = [*vehicle.shape.wheel_centers(), *vehicle.points[wheels[2:]][: len(hitched)]]
     body = straight_mesh(vehicle)
     corners = [body.vertices[body.triangles]]
-    corners += [part.vertices[part.triangles] + place for part, place in zip((*own, *hitched), places, strict=True)]
+    corners += [
+        part.vertices[part.triangles] + center for part, center in zip((*main_wheels, *hitched), places, strict=True)
+    ]
     targets = vehicle.points.copy()
     targets[wheels] += vehicle.wheel_face_offsets
     rays = targets - eye
@@ -87,7 +90,7 @@ def seen(vehicle: Vehicle, eye: Array) -> Array:
 
 
 def logistic(directions: Array, was_seen: Array) -> Array:
-    """(4,) weights of a direction's x, y, z and 1."""
+    """Fit the weights (4,) of a direction's x, y, z and 1."""
     x = np.column_stack([directions, np.ones(len(directions))])
     sign = np.where(was_seen, 1.0, -1.0)
 
@@ -112,17 +115,17 @@ def write_shapes(path: Path, samples_per_model: int) -> None:
         samples = [row(entry.vehicle)]
         for _ in range(samples_per_model):
             vehicle = build_vehicle(model, jittered(model, rng))
-            # As much to the left as to the right, so that the mean vehicle is symmetric.
+            # Equally to the left and to the right, so that the mean vehicle is symmetric.
             bends = rng.normal(0, math.radians(BEND_DEG), BENDS) if vehicle.trailer else np.zeros(1)
             samples += [row(vehicle, bend) for bend in np.unique([bends, -bends])]
         kinds.setdefault(kind, []).append(np.stack(samples))
         weights.setdefault(kind, []).append(entry.share)
         heavy[kind] = entry.vehicle.mass > DEMAND_LIMITS.heavy_from_kg
-        # Further models of a type share its traffic with the others.
+        # Further models of a type share the traffic of that type.
         if not entry.further or kind not in usual:
             shares[kind] = shares.get(kind, 0.0) + entry.share
 
-    # Deviations of models from their type, in shares of the type's dimensions, and how often each drives by.
+    # Deviations of models from their type, relative to the type's dimensions, and the weight of each model.
     between: dict[bool, list[tuple[Array, float]]] = {True: [], False: []}
     means: dict[str, Array] = {}
     for kind, models in kinds.items():
@@ -130,30 +133,32 @@ def write_shapes(path: Path, samples_per_model: int) -> None:
         means[kind] = mean = np.average(each, axis=0, weights=often)
         counted = often.sum() ** 2 / (often**2).sum()
         unbiased = np.sqrt(counted / max(1.0, counted - 1))
-        between[heavy[kind]] += [((one - mean) / mean[-1] * unbiased, w) for one, w in zip(each, often, strict=True)]
+        between[heavy[kind]] += [
+            ((shape - mean) / mean[-1] * unbiased, w) for shape, w in zip(each, often, strict=True)
+        ]
     lines = []
     for kind, models in sorted(kinds.items()):
         mean = means[kind]
-        own = np.concatenate(models) - mean
+        deviations = np.concatenate(models) - mean
         often = np.repeat(weights[kind], [len(samples) for samples in models])
-        others, frequent = zip(*between[heavy[kind]], strict=True)
+        pooled, frequent = zip(*between[heavy[kind]], strict=True)
         # Rows whose sum of squares is the covariance.
         scaled = np.concatenate(
             [
-                own * np.sqrt(often / often.sum())[:, None, None],
-                np.stack(others) * mean[-1] * np.sqrt(POOLED * np.array(frequent) / sum(frequent))[:, None, None],
+                deviations * np.sqrt(often / often.sum())[:, None, None],
+                np.stack(pooled) * mean[-1] * np.sqrt(POOLED * np.array(frequent) / sum(frequent))[:, None, None],
             ]
         )
         _, spread, basis = np.linalg.svd(scaled.reshape(len(scaled), -1), full_matrices=False)
         directions = (spread[:, None] * basis).reshape(-1, keypoints.K + 1, 3)
         rest = np.sqrt((directions[DIRECTIONS:, :-1] ** 2).sum(axis=0).mean(axis=1))
         share = shares[kind] / sum(shares.values())
-        ways = ",\n".join(text(one) for one in directions[:DIRECTIONS])
+        ways = ",\n".join(text(direction) for direction in directions[:DIRECTIONS])
         lines.append(
             f'"{kind}":{{"share":{share:.4f},\n"mean":{text(mean)},\n"directions":[{ways}],\n"rest":{text(rest)}}}'
         )
         print(
-            f"{kind:<10} {len(own):3d} shapes; beyond {DIRECTIONS} directions a keypoint has {rest.mean():.3f} m left"
+            f"{kind:<10} {len(deviations):3d} shapes; {rest.mean():.3f} m per keypoint beyond {DIRECTIONS} directions"
         )
     write_types(path, '"unit":"m",\n', lines)
 
@@ -183,7 +188,7 @@ def write_visibility(path: Path, azimuth_step_deg: float) -> None:
 
 
 def write_types(path: Path, head: str, lines: list[str]) -> None:
-    """Write a file with a line or more for each body type."""
+    """Write a file with at least one line per body type."""
     body = ",\n".join(lines)
     write_text(path, f'{{"version":1,"scheme":"{keypoints.SCHEME}",{head}"types":{{\n{body}\n}}}}\n')
     print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB)")
@@ -191,7 +196,7 @@ def write_types(path: Path, head: str, lines: list[str]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--samples", type=int, default=12, help="jittered shapes of each model")
+    parser.add_argument("--samples", type=int, default=12, help="jittered shapes per model")
     parser.add_argument("--azimuth-step", type=float, default=15, help="degrees between the eyes around a vehicle")
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "skope" / "pose", help="folder")
     options = parser.parse_args()

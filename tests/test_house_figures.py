@@ -69,14 +69,14 @@ def test_a_small_tree_is_counted(tmp_path: Path) -> None:
     assert rows == [
         ["public functions of 3+ parameters with Args", "1 of 2 (50%)", "1 of 2 (50%)"],
         ["one-word constants in more than 2 modules", "0", "1"],
-        ["public names with several homes", "0", "2"],
+        ["public names defined in several modules", "0", "2"],
         ["functions over 60 lines", "0", "1"],
         ["functions over 60 lines of statements", "0", "1"],
         ["docstrings that begin with a question", "0", "1"],
-        ["rooms, arrows, floors of skope", "2, 2, 1", "2, 1, 2"],
-        ["rooms, arrows, floors of skope.gen", "0, 0, 0", "0, 0, 0"],
-        ["rooms, arrows, floors of skope.eval", "0, 0, 0", "0, 0, 0"],
-        ["circles of modules", "1", "0"],
+        ["parts, imports, layers of skope", "2, 2, 1", "2, 1, 2"],
+        ["parts, imports, layers of skope.gen", "0, 0, 0", "0, 0, 0"],
+        ["parts, imports, layers of skope.eval", "0, 0, 0", "0, 0, 0"],
+        ["import cycles", "1", "0"],
     ]
     assert re.search(r"without Args\n  skope.high.told:\d+ shared\n\n", said)
     assert "NEAR: skope.high.other, skope.high.told, skope.low" in said

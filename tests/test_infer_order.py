@@ -173,7 +173,7 @@ def test_places_in_the_cube_are_those_of_the_points(script: ModuleType, astray: 
 def test_corners_in_no_order_are_told(script: ModuleType, vehicles: list[ArchiveVehicle]) -> None:
     rng = np.random.default_rng(2)
     jumbled = [ArchiveVehicle(v.box_xyxy, v.points, 0, "", rng.permutation(v.corners)) for v in vehicles]
-    with pytest.raises(UserError, match="counted in no known order"):
+    with pytest.raises(UserError, match="not in a known order"):
         script.places(jumbled)
 
 
@@ -184,4 +184,4 @@ def test_a_margin_below_zero_is_told(
     with pytest.raises(SystemExit) as ended:
         script.main()
     assert ended.value.code == 2
-    assert capsys.readouterr().err == "infer_order: --margin: expected metres from 0, got -1.0\n"
+    assert capsys.readouterr().err == "infer_order: --margin: expected 0 or more metres, got -1.0\n"

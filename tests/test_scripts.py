@@ -72,7 +72,7 @@ RUNS: Final[Sequence[Run]] = (
         " --variants mobilenet-64-4x128",
         says="| mobilenet-64-4x128 | 4.7 | ",
     ),
-    Run("bench_detector.py", "metrics --images 2", says="apart by at most 0.0e+00"),
+    Run("bench_detector.py", "metrics --images 2", says="figures differ by at most 0.0e+00"),
     Run(
         "bench_detector.py",
         "inference --checkpoint {checkpoint} --data {dataset} --split easy --images 1 --device cpu",
@@ -154,7 +154,7 @@ RUNS: Final[Sequence[Run]] = (
     ),
     Run("research/night_statistics.py", "real={dataset} now={dataset}", says="luma_50"),
     Run("research/marker_offsets.py", "{road}", says="kind                points"),
-    Run("train_leg.py", "run 1 --out {out}", says="leg 1 goes on from weights: --state", code=2),
+    Run("train_leg.py", "run 1 --out {out}", says="stage 1 starts from weights: pass --state", code=2),
     Run("train_leg.py", "join {out} --out {out}/a.safetensors", says="parts.json", code=2),
     Run(
         "research/camera_calibration.py",
@@ -436,18 +436,18 @@ def test_recordings_of_the_reference_can_be_made(skope: Any, monkeypatch: pytest
     for words in reference.DATASETS.values():
         code, _, error = skope("gen", "simulate", *words.split(), "--help")
         assert code == 0, error
-    legs, _ = importlib.import_module("train_leg").read_legs()
+    legs, _ = importlib.import_module("train_leg").read_stages()
     for training in reference.TRAININGS.values():
         assert set(training.datasets) <= set(reference.DATASETS)
-        assert set(training.legs) <= set(legs)
+        assert set(training.stages) <= set(legs)
         assert training.after in (None, *reference.TRAININGS)
-        assert bool(training.legs) != bool(training.recipe)
+        assert bool(training.stages) != bool(training.recipe)
 
 
 def test_places_of_the_legs_can_be_made(skope: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(SCRIPTS))
     leg = importlib.import_module("train_leg")
-    legs, tests = leg.read_legs()
+    legs, tests = leg.read_stages()
     light = [name for name in legs if name.startswith("lite-")]
     assert [name for name in legs if name not in light] == [str(k) for k in range(1, len(legs) - len(light) + 1)]
     assert light[0] == "lite-1"
@@ -481,8 +481,8 @@ def test_reference_learns_in_legs(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     options = argparse.Namespace(out=out, data=tmp_path / "data", gpus="0,1", workers=8)
     clock, training = reference.Clock(1.0, ["0", "1"]), reference.TRAININGS["road33"]
     with pytest.raises(reference.TimeIsUpError):
-        reference.learn_in_legs(clock, options, training)
-    assert reference.learn_in_legs(clock, options, training) == out / "joined.safetensors"
+        reference.train_in_stages(clock, options, training)
+    assert reference.train_in_stages(clock, options, training) == out / "joined.safetensors"
     runs = [words[2:5] for words in called if words[1] == "run"]
     first = ("1", "--init", str(tmp_path / "world" / "packed.safetensors"))
     after = [(name, "--state", str(out / f"leg_{int(name) - 1}" / "state")) for name in "234"]
@@ -492,7 +492,7 @@ def test_reference_learns_in_legs(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     options.out = tmp_path / "lite"
     for leg in ("lite-1", "lite-2"):
         (options.out / f"leg_{leg}").mkdir(parents=True)
-    reference.learn_in_legs(clock, options, reference.TRAININGS["lite"])
+    reference.train_in_stages(clock, options, reference.TRAININGS["lite"])
     assert [words[2] for words in called if words[1] == "run"] == ["lite-1", "lite-2"]
     assert not {"--init", "--state"} & set(called[0]), "the first leg begins from nothing"
 

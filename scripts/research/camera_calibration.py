@@ -1,25 +1,25 @@
-"""How well a camera is known from marked points, lengths, parallel lines and vehicles.
+"""Accuracy of cameras that are calibrated from marked points, lengths, parallel lines and vehicles.
 
     python scripts/research/camera_calibration.py marks --draws 100
     python scripts/research/camera_calibration.py vehicles --draws 20
     python scripts/research/camera_calibration.py bound --draws 40
 
-Eight cameras by a road with known truth, bent lenses included. Marked points have noise of 1.5 px and 0.1 m, on a
-road that is uneven by 3 cm. Places on a grid of the road up to 60 m away are compared with where the calibrated
-camera puts the true pixels: share within the stated 90% error, and median error. Lengths, parallel lines and vehicles
-do not give position and direction: there the world begins under the camera.
+Eight simulated cameras by a road, with known truth and including lens distortion. Marked points have noise of 1.5 px
+and 0.1 m, on a road that is uneven by 3 cm. Positions on a grid of the road up to 60 m away are compared with where the
+calibrated camera puts their true pixels: share within the stated 90% error, and median error. Lengths, parallel lines
+and vehicles do not determine position and direction; for them the origin of the world is below the camera.
 
 `marks`: points, lengths and parallel lines, and sets with one wrong point.
 
 `vehicles`: vehicles alone, marks, and all together. Vehicles are shapes of the fleet's shape space; their true
-keypoints have noise of 2% of their box, at least a pixel. A part that rejects a draw is left out of "together".
-`--size-sigma`: all vehicles of a draw are larger or smaller than the fleet's by one factor, as those of a country may
-be.
+keypoints have noise of 2% of their box, at least a pixel. If a part rejects a draw, "together" does without it.
+`--size-sigma`: all vehicles of a draw are larger or smaller than the fleet's by one factor, which may vary between
+countries.
 
 `bound`: how often the wrong one of six points can be found at all if the distribution of wrong points is known. For
-each point the likelihood of all is computed if that one is wrong by 2 m along x and y (Laplace's approximation, at
-the camera that the search finds from the true one). "Forced": the wrong one is the likeliest of the six. "Found": it
-is also likelier than no wrong point, with one wrong point in fifty.
+each point, the likelihood of all points is computed on the assumption that this point is wrong by 2 m along x and y
+(Laplace's approximation, at the camera that the search finds from the true one). "Forced": the wrong point is the most
+likely of the six. "Found": it is also more likely than no wrong point, with one wrong point in fifty.
 """
 
 import argparse
@@ -67,8 +67,8 @@ CAMERAS: Cameras = (
 )
 
 
-def other_cameras(rng: np.random.Generator) -> Iterator[tuple[float, float, float, float, float]]:
-    """Eight cameras with the variety of real roads, whose images show road up to the far limit."""
+def drawn_cameras(rng: np.random.Generator) -> Iterator[tuple[float, float, float, float, float]]:
+    """Draw eight cameras with the variety of real roads, whose images show road up to `FARTHEST_M`."""
     for _ in CAMERAS:
         fov, height = rng.uniform(30, 95), 4 * 4 ** rng.uniform()
         pitch = rng.uniform(0.2, 0.4) * fov + math.degrees(math.atan(height / FARTHEST_M))
@@ -76,17 +76,21 @@ def other_cameras(rng: np.random.Generator) -> Iterator[tuple[float, float, floa
 
 
 def true_camera(fov: float, height: float, pitch: float, roll: float, k1: float, rng: np.random.Generator) -> Camera:
-    """One of `CAMERAS`, at some place and turned some way."""
+    """Return one of `CAMERAS` with a random position and direction."""
     pitch, roll, yaw = math.radians(pitch), math.radians(roll), rng.uniform(-math.pi, math.pi)
     lens = Distortion("brown", (k1, 0.0, 0.0, 0.0)) if k1 else Distortion()
-    place = [*rng.uniform(-50, 50, 2), height]
+    position = [*rng.uniform(-50, 50, 2), height]
     return Camera.looking(
-        place, yaw=yaw, pitch_down=pitch, roll=roll, size=SIZE, fov=math.radians(fov), distortion=lens
+        position, yaw=yaw, pitch_down=pitch, roll=roll, size=SIZE, fov=math.radians(fov), distortion=lens
     )
 
 
 def road(camera: Camera) -> tuple[Array, Array]:
-    """(N, 2) pixels on a grid of the image that show road up to `FARTHEST_M` away, and (N, 3) their places."""
+    """Return a grid of the road as the camera sees it.
+
+    Returns:
+        Pixels (N, 2) of a grid of the image that show road up to `FARTHEST_M` away, and their positions (N, 3).
+    """
     u, v = np.meshgrid(np.linspace(20, SIZE[0] - 20, 25), np.linspace(20, SIZE[1] - 20, 19))
     pixels = np.column_stack([u.ravel(), v.ravel()])
     places = intersect_ground(camera, pixels)
@@ -95,25 +99,25 @@ def road(camera: Camera) -> tuple[Array, Array]:
 
 
 def points(camera: Camera, count: int, rng: np.random.Generator, wrong: bool = False) -> tuple[MarkedPoint, ...]:
-    """Points spread over the road as people choose them, with errors; with `wrong` the first one is wrong."""
+    """Draw points spread over the road as people choose them, with errors; with `wrong` the first one is wrong."""
     pixels, places = road(camera)
     chosen = [int(rng.integers(len(places)))]
-    while len(chosen) < count:  # each far from the others in the image
+    while len(chosen) < count:  # prefer points that are far from the others in the image
         apart = np.linalg.norm(pixels[:, None] - pixels[chosen], axis=-1).min(axis=1)
         chosen.append(int(rng.choice(len(places), p=apart**2 / (apart**2).sum())))
     out = []
     for k, i in enumerate(chosen):
-        place = places[i] + rng.normal(0, [0.1, 0.1, MARKING_ERRORS.height_m])
+        position = places[i] + rng.normal(0, [0.1, 0.1, MARKING_ERRORS.height_m])
         pixel = pixels[i] + rng.normal(0, 1.5, 2)
-        if wrong and k == 0:  # the next corner of the marking was clicked
+        if wrong and k == 0:  # as if the next corner of the marking was clicked
             angle = rng.uniform(0, 2 * math.pi)
-            place = place + rng.uniform(1.5, 4) * np.array([math.cos(angle), math.sin(angle), 0])
-        out.append(MarkedPoint(pixel, place, name=str(k + 1)))
+            position = position + rng.uniform(1.5, 4) * np.array([math.cos(angle), math.sin(angle), 0])
+        out.append(MarkedPoint(pixel, position, name=str(k + 1)))
     return tuple(out)
 
 
 def lengths_and_parallels(camera: Camera, rng: np.random.Generator) -> Evidence:
-    """Three known lengths along and across the way, and its two edges."""
+    """Return three known lengths along and across the road, and its two edges."""
     pixels, places = road(camera)
     yaw = camera.angles[0] + rng.normal(0, 0.3)
     along, across = np.array([math.cos(yaw), math.sin(yaw), 0]), np.array([-math.sin(yaw), math.cos(yaw), 0])
@@ -146,9 +150,9 @@ def lengths_and_parallels(camera: Camera, rng: np.random.Generator) -> Evidence:
 
 
 def held(camera: Camera, calibration: UncertainCamera, *, gauge: bool = False) -> tuple[float, float]:
-    """Share of places within the stated error, and the median error, metres.
+    """Return the share of positions within the stated error, and the median error, metres.
 
-    With `gauge` the world of the calibration begins under its camera: distances between places are compared.
+    With `gauge` the world of the calibration begins under its camera, so that distances between positions are compared.
     """
     pixels, places = road(camera)
     if gauge:
@@ -164,29 +168,29 @@ def held(camera: Camera, calibration: UncertainCamera, *, gauge: bool = False) -
 def draws(
     make: Callable[[Camera, np.random.Generator], Evidence], cameras: Cameras, count: int, gauge: bool = False
 ) -> Iterator[str]:
-    """A line for each camera, and one over all."""
+    """Yield a line for each camera, and one over all."""
     means = []
     for k, row in enumerate(cameras):
         rng = np.random.default_rng(k)
-        shares, errors, refused = [], [], 0
+        shares, errors, rejected = [], [], 0
         for _ in range(count):
             camera = true_camera(*row, rng)
             try:
                 share, error = held(camera, calibrate(make(camera, rng)), gauge=gauge)
             except UserError:
-                refused += 1
+                rejected += 1
                 continue
             shares.append(share)
             errors.append(error)
-        told = f"{np.mean(shares):.3f} within, median error {np.median(errors):.2f} m" if shares else "none"
+        summary = f"{np.mean(shares):.3f} within, median error {np.median(errors):.2f} m" if shares else "none"
         means += [float(np.mean(shares))] if shares else []
-        yield f"  camera {k + 1}: {told}, {refused} refused"
+        yield f"  camera {k + 1}: {summary}, {rejected} rejected"
     if means:
         yield f"  all cameras: {np.mean(means):.3f} within, from {min(means):.3f} to {max(means):.3f}"
 
 
 def found_wrong(count: int, cameras: Cameras, draws: int) -> Iterator[str]:
-    """How often the wrong one of `count` points is left out, or named among those that may be wrong."""
+    """Measure how often the wrong one of `count` points is left out, or named among those that may be wrong."""
     left_out = named = total = 0
     means = []
     for k, row in enumerate(cameras):
@@ -200,7 +204,7 @@ def found_wrong(count: int, cameras: Cameras, draws: int) -> Iterator[str]:
             shares.append(held(camera, found)[0])
         means.append(float(np.mean(shares)))
         yield f"  camera {k + 1}: {means[-1]:.3f} within"
-    yield f"  of {total} it is left out in {left_out}, it or another it may be is named in {named}"
+    yield f"  of {total} draws the wrong point is left out in {left_out}, and left out or named as possible in {named}"
     yield f"  all cameras: {np.mean(means):.3f} within, from {min(means):.3f} to {max(means):.3f}"
 
 
@@ -209,7 +213,7 @@ def _marked(count: int, camera: Camera, rng: np.random.Generator) -> Evidence:
 
 
 def lines_of(row: str, cameras: Cameras, count: int) -> Iterator[str]:
-    """The lines of one of `ROWS`, from so many draws a camera."""
+    """Yield the lines of one of `ROWS`, from `count` draws per camera."""
     if row == "lengths":
         return draws(lengths_and_parallels, cameras, count, gauge=True)
     number = int(row.split("-")[0])
@@ -217,28 +221,28 @@ def lines_of(row: str, cameras: Cameras, count: int) -> Iterator[str]:
 
 
 def chosen_cameras(count: int, seed: int | None) -> Cameras:
-    """The first `count` of the eight cameras, or of eight that a seed draws."""
-    return tuple(CAMERAS if seed is None else other_cameras(np.random.default_rng(seed)))[:count]
+    """Return the first `count` of the eight cameras, or of eight cameras drawn by a seed."""
+    return tuple(CAMERAS if seed is None else drawn_cameras(np.random.default_rng(seed)))[:count]
 
 
 PARTS = ("6 points", "lengths and parallel lines", "vehicles", "together")
 Result = tuple[float, float]
-"""Share of places within the stated error, and the median error, metres."""
+"""Share of positions within the stated error, and the median error, metres."""
 
 
 @dataclass(frozen=True)
 class Traffic:
-    """The vehicles of a draw."""
+    """Number and size of the vehicles of a draw."""
 
     vehicles: int
     size_sigma: float = 0.0
-    """Standard deviation of the factor by which all are larger than the fleet's."""
+    """Standard deviation of the factor by which all vehicles are larger than the fleet's."""
     moments: int = 4
-    """Views of each, at most."""
+    """Largest number of views of each vehicle."""
 
 
 def vehicle_views(camera: Camera, rng: np.random.Generator, traffic: Traffic) -> VehicleViews:
-    """Views of vehicles that drive straight on through the image, with noise as a detector's."""
+    """Draw views of vehicles that drive straight through the image, with the noise of a detector."""
     shapes, vehicles = fleet_shapes(), traffic.vehicles
     larger = 1 + traffic.size_sigma * rng.normal() if traffic.size_sigma else 1.0
     found, sigmas, numbers = [], [], []
@@ -248,8 +252,8 @@ def vehicle_views(camera: Camera, rng: np.random.Generator, traffic: Traffic) ->
             break
         kind = int(rng.choice(len(shapes.types), p=shapes.share))
         rest = np.append(shapes.rest[kind], 0.0)[:, None] * rng.normal(size=shapes.mean[kind].shape)
-        own = np.tensordot(rng.normal(size=len(shapes.directions[kind])), shapes.directions[kind], axes=1)
-        shape = larger * (shapes.mean[kind] + own + rest)[: keypoints.K]
+        variation = np.tensordot(rng.normal(size=len(shapes.directions[kind])), shapes.directions[kind], axes=1)
+        shape = larger * (shapes.mean[kind] + variation + rest)[: keypoints.K]
         yaw = float(rng.choice([0.0, math.pi]) + camera.angles[0] + rng.normal(0, 0.4))
         R = np.array([[math.cos(yaw), -math.sin(yaw), 0], [math.sin(yaw), math.cos(yaw), 0], [0, 0, 1]])
         _, places = road(camera)
@@ -266,17 +270,17 @@ def vehicle_views(camera: Camera, rng: np.random.Generator, traffic: Traffic) ->
             numbers.append(number)
         number += 1
     if number < vehicles:
-        raise UserError(f"only {number} vehicles are in sight")
+        raise UserError(f"only {number} vehicles are visible")
     return VehicleViews(np.array(found), np.array(sigmas), np.array(numbers, dtype=np.intp), SIZE, shapes)
 
 
 def _sighting(
-    camera: Camera, shapes: Shapes, kind: int, shape: Array, R: Array, place: Array, rng: np.random.Generator
+    camera: Camera, shapes: Shapes, kind: int, shape: Array, R: Array, position: Array, rng: np.random.Generator
 ) -> tuple[Array, float] | None:
-    """(33, 3) keypoints of a vehicle with their noise, and its standard deviation; None: it shows too little."""
-    points = shape @ R.T + place + [0, 0, rng.normal(0, MARKING_ERRORS.height_m)]
+    """Return the noisy keypoints (33, 3) of a vehicle and their standard deviation; None if too few are visible."""
+    points = shape @ R.T + position + [0, 0, rng.normal(0, MARKING_ERRORS.height_m)]
     pixels, _, valid = camera.project(points)
-    eye = (camera.position - place) @ R
+    eye = (camera.position - position) @ R
     shown = valid & camera.inside(pixels) & facing(shapes, np.array([kind]), shape[None], eye[None])[0]
     if shown.sum() < 8 or not valid.all():
         return None
@@ -288,7 +292,10 @@ def _sighting(
 
 
 def from_vehicles(camera: Camera, rng: np.random.Generator, traffic: Traffic) -> UncertainCamera:
-    """The camera from vehicles, as `skope eval camera` finds it. Raises UserError where that rejects it."""
+    """Estimate the camera from vehicles, as `skope eval camera` does.
+
+    Raises UserError if the estimate is rejected.
+    """
     views = vehicle_views(camera, rng, traffic)
     fit = fit_camera_to_vehicles(views)
     boxes = [(np.ptp(view[:, 0]) / 2 + view[:, 0].min(), view[:, 1].max()) for view in views.found]
@@ -298,7 +305,7 @@ def from_vehicles(camera: Camera, rng: np.random.Generator, traffic: Traffic) ->
 
 
 def together(cameras: Cameras, count: int, traffic: Traffic, alone: bool = False) -> Iterator[str]:
-    """Each part and all of them, of the same draws; lines for each camera, and the means over the cameras.
+    """Measure each part and all of them together, on the same draws; yields lines of results.
 
     With `alone` vehicles are the only part.
     """
@@ -314,9 +321,9 @@ def together(cameras: Cameras, count: int, traffic: Traffic, alone: bool = False
             if results:
                 share, error = np.mean(results, axis=0).tolist()
                 table[name].append((share, error))
-                yield f"    {name}: {error:.3f} m, {share:.3f} within, {count - len(results)} refused"
+                yield f"    {name}: {error:.3f} m, {share:.3f} within, {count - len(results)} rejected"
             elif name == "vehicles" or not alone:
-                yield f"    {name}: refused"
+                yield f"    {name}: rejected"
     yield "  mean over the cameras of the median error"
     for name, results in table.items():
         if results:
@@ -328,18 +335,18 @@ def together(cameras: Cameras, count: int, traffic: Traffic, alone: bool = False
 
 
 def _of_draw(camera: Camera, rng: np.random.Generator, traffic: Traffic, alone: bool) -> Iterator[tuple[str, Result]]:
-    """The result of each of `PARTS` of one draw; without parts that reject it."""
+    """Yield the result of each of `PARTS` for one draw, without parts that reject it."""
     marked, measured = points(camera, 6, rng), lengths_and_parallels(camera, rng)
-    told = _camera_of_vehicles(camera, rng, traffic)
-    if told:
-        yield "vehicles", held(camera, told, gauge=True)
+    from_traffic = _camera_of_vehicles(camera, rng, traffic)
+    if from_traffic:
+        yield "vehicles", held(camera, from_traffic, gauge=True)
     if alone:
         return
-    whole = replace(measured, points=marked, beliefs=(told.belief("vehicles"),) if told else ())
+    whole = replace(measured, points=marked, beliefs=(from_traffic.belief("vehicles"),) if from_traffic else ())
     evidence = {"6 points": Evidence(SIZE, points=marked), "lengths and parallel lines": measured, "together": whole}
-    for name, one in evidence.items():
+    for name, part in evidence.items():
         try:
-            yield name, held(camera, calibrate(one), gauge=not one.points)
+            yield name, held(camera, calibrate(part), gauge=not part.points)
         except UserError:
             continue
 
@@ -352,21 +359,21 @@ def _camera_of_vehicles(camera: Camera, rng: np.random.Generator, traffic: Traff
 
 
 def marks_table(options: argparse.Namespace) -> Iterator[str]:
-    """The lines of each row that was asked for."""
+    """Yield the lines of each requested row."""
     for row in options.rows:
-        yield f"{row}, {options.draws} draws a camera"
+        yield f"{row}, {options.draws} draws per camera"
         yield from lines_of(row, chosen_cameras(options.cameras, options.others), options.draws)
 
 
 def vehicles_table(options: argparse.Namespace) -> Iterator[str]:
-    """The lines of each part and of all together."""
+    """Yield the lines of each part and of all together."""
     traffic = Traffic(options.vehicles, options.size_sigma)
-    yield f"{traffic}, {options.draws} draws a camera"
+    yield f"{traffic}, {options.draws} draws per camera"
     yield from together(chosen_cameras(options.cameras, options.others), options.draws, traffic, options.alone)
 
 
 def bound(options: argparse.Namespace) -> Iterator[str]:
-    """How often the wrong one of `BOUND_POINTS` points is the likeliest."""
+    """Measure how often the wrong one of `BOUND_POINTS` points is the most likely one."""
     forced = found = 0
     for k, row in enumerate(CAMERAS):
         rng = np.random.default_rng(100 + k)
@@ -390,14 +397,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
     marks = commands.add_parser("marks", help="points, lengths and parallel lines")
-    marks.add_argument("--rows", nargs="+", choices=ROWS, default=ROWS, help="all by default")
+    marks.add_argument("--rows", nargs="+", choices=ROWS, default=ROWS, help="default: all")
     vehicles = commands.add_parser("vehicles", help="vehicles, marks and all together")
     vehicles.add_argument("--vehicles", type=int, default=25, help="vehicles per draw")
-    vehicles.add_argument("--size-sigma", type=float, default=0.0, help="of one factor on the size of all of a draw")
+    vehicles.add_argument("--size-sigma", type=float, default=0.0, help="deviation of a common size factor")
     vehicles.add_argument("--alone", action="store_true", help="vehicles alone, without marks")
     for command in (marks, vehicles):
         command.add_argument("--cameras", type=int, default=len(CAMERAS))
-        command.add_argument("--others", type=int, metavar="SEED", help="eight cameras drawn by this seed instead")
+        command.add_argument("--others", type=int, metavar="SEED", help="draw eight other cameras with this seed")
     wrong = commands.add_parser("bound", help="how often a wrong point can be found at all")
     for command, run, draws_per_camera in (
         (marks, marks_table, 100),

@@ -10,19 +10,19 @@
     python scripts/research/camera_errors.py shake street/annotations/medium.json --images street
 
 `vehicles`: a line for each generated recording, whose camera is known: the truth, the estimate, its error in its own
-standard deviations, and the errors of distances: of vehicles from the camera's foot, and of travelled distances of at
-least five metres. The last lines sum up. Without --predictions the labels' keypoints are used, with a pixel of noise.
---broken takes what no camera from vehicles can know, and shows how often it is rejected: `bend` and `bend-little`
-bend the image as another lens would, `crop` moves it by a fifth of its width and a seventh of its height, `stretch`
-squeezes it to three quarters of its width, `noise` moves keypoints by a twentieth of their boxes, `swap` takes the
-front for the rear in three of ten detections.
+standard deviations, and the errors of distances (of vehicles from the camera's foot, and travelled distances of at
+least five metres). The last lines summarise. Without --predictions the labels' keypoints are used, with a pixel of
+noise. --broken simulates faults that a camera from vehicles cannot handle, and shows how often they are rejected:
+`bend` and `bend-little` bend the image like another lens, `crop` moves it by a fifth of its width and a seventh of its
+height, `stretch` squeezes it to three quarters of its width, `noise` moves keypoints by a twentieth of their boxes,
+`swap` exchanges front and rear in three of ten detections.
 
 `shake`: a camera of 640x360 and 80 degrees sees each generated image. It is turned frame by frame, which is exact:
-its rays are looked up in the wider image. Images are compressed as a stream's are, and the motion is measured as
-`skope eval predict` does. Keypoints are the true ones with noise of a pixel. The shake has an amplitude across (1.3
-s), 0.4 of it up and down (0.8 s), and a roll. In the last row the camera is moved by 40 px halfway. Errors are of the
-camera at rest. In the last column the camera was calibrated at a moment of its shake (five of them): the share of
-positions within the stated 90% error.
+its rays are looked up in the wider image. Images are compressed like those of a stream, and the motion is measured as
+`skope eval predict` does. Keypoints are the true ones with noise of a pixel. The amplitude of the shake is the given
+one across (period 1.3 s) and 0.4 of it up and down (0.8 s); the camera also rolls. In the last row the camera is moved
+by 40 px halfway. Errors are those of the camera at rest. In the last column the camera was calibrated at a moment of
+its shake (five of them): the share of positions within the stated 90% error.
 """
 
 import argparse
@@ -73,16 +73,16 @@ Warp = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class Row:
-    """Errors of a camera that was estimated."""
+    """Errors of an estimated camera."""
 
     off: Array
     """(3,) errors of log focal length, tilt (radians) and log height."""
     sigmas: Array
-    """(3,) the same in standard deviations."""
+    """(3,) the same errors in standard deviations."""
     distances: Array
     """Errors of the logarithms of distances from the camera's foot."""
     ways: Array
-    """The same of ways driven."""
+    """Errors of the logarithms of travelled distances."""
 
 
 def recordings(file: AnnotationFile) -> Iterator[tuple[str, AnnotationFile]]:
@@ -94,7 +94,7 @@ def recordings(file: AnnotationFile) -> Iterator[tuple[str, AnnotationFile]]:
 
 
 def named(file: AnnotationFile, results: Sequence[Result]) -> list[Result]:
-    """Detections that the frames confirm, with the numbers of their vehicles, as `skope eval predict` writes them."""
+    """Return the detections that other frames confirm, with track numbers, as `skope eval predict` writes them."""
     by_image = defaultdict(list)
     for result in results:
         by_image[result.image_id].append(result)
@@ -104,11 +104,11 @@ def named(file: AnnotationFile, results: Sequence[Result]) -> list[Result]:
         confirmation.add(image.time_s, by_image[image.id])
         found += by_image[image.id]
     numbers = np.concatenate(confirmation.confirmed()) if found else np.zeros(0)
-    return [replace(one, track_id=int(n)) for one, n in zip(found, numbers.tolist(), strict=True) if n >= 0]
+    return [replace(detection, track_id=int(n)) for detection, n in zip(found, numbers.tolist(), strict=True) if n >= 0]
 
 
 def places_on_road(file: AnnotationFile, camera: Camera) -> dict[int, Array]:
-    """Places of each track on the road that the camera sees, world coordinates."""
+    """Return the positions of each track on the road that the camera sees, in world coordinates."""
     places = defaultdict(list)
     for a in file.annotations:
         if a.box_3d is not None and a.track_id is not None and not a.ignored:
@@ -124,7 +124,7 @@ def places_on_road(file: AnnotationFile, camera: Camera) -> dict[int, Array]:
 
 
 def warps(width: int, height: int) -> dict[str, Warp]:
-    """The motion of an image's pixels for each fault of `--broken`."""
+    """Return the motion of an image's pixels for each fault of `--broken`."""
     middle = np.array([width / 2, height / 2])
 
     def bend(k: float) -> Warp:
@@ -143,7 +143,7 @@ def warps(width: int, height: int) -> dict[str, Warp]:
 
 
 def broken(result: Result, how: str, warp: Warp, rng: np.random.Generator) -> Result:
-    """A detection as it would be with that fault."""
+    """Return a detection with that fault."""
     points = result.keypoints.copy()
     if how == "noise":
         points[:, :2] += rng.normal(0, BROKEN_NOISE, (len(points), 2)) * result.bbox[2:]
@@ -156,7 +156,7 @@ def broken(result: Result, how: str, warp: Warp, rng: np.random.Generator) -> Re
 
 
 def judged(estimate: Camera, camera: Camera, places: dict[int, Array], warp: Warp) -> tuple[Array, Array]:
-    """Errors of the logarithms of distances from the camera's foot, and of ways driven."""
+    """Return errors of the logarithms of distances from the camera's foot, and of travelled distances."""
     distances, ways = [], []
     for xyz in places.values():
         found = on_road(estimate, warp(camera.project(xyz)[0]))
@@ -181,7 +181,7 @@ def measure(name: str, file: AnnotationFile, results: list[Result] | None, how: 
     level = float(np.median(np.concatenate([xyz[:, 2] for xyz in places.values()]))) if places else 0.0
     truth = np.array([math.log(camera.K[0, 0]), camera.angles[1], math.log(camera.position[2] - level)])
     focal, tilt, height = math.exp(truth[0]), math.degrees(truth[1]), math.exp(truth[2])
-    said = f"{name:24s} focal {focal:5.0f} tilt {tilt:5.1f} height {height:5.1f}"
+    summary = f"{name:24s} focal {focal:5.0f} tilt {tilt:5.1f} height {height:5.1f}"
     bare = replace(file, annotations=() if results is not None else file.annotations)
     scene = Scene(bare, None if results is None else tuple(results), None, None)
     try:
@@ -191,15 +191,16 @@ def measure(name: str, file: AnnotationFile, results: list[Result] | None, how: 
     except UserError as error:
         reason = str(error)
     if reason:
-        print(f"{said}: rejected: {reason}", flush=True)
+        print(f"{summary}: rejected: {reason}", flush=True)
         return None
     unknowns = estimate.solved.bundle.camera[[FOCAL, PITCH, HEIGHT]]
     sigma = np.sqrt(np.diag(estimate.covariance))[[FOCAL, PITCH, HEIGHT]]
     row = Row(unknowns - truth, np.abs(unknowns - truth) / sigma, *judged(estimate.camera, camera, places, warp))
     print(
-        f"{said}: {estimate.vehicles} vehicles, focal x{math.exp(row.off[0]):.2f} tilt {math.degrees(row.off[1]):+.1f} "
-        f"height x{math.exp(row.off[2]):.2f} (in sigmas {' '.join(f'{v:.1f}' for v in row.sigmas)}), distances "
-        f"{np.median(row.distances):+.1%} ways {np.median(row.ways) if row.ways.size else 0.0:+.1%}, said within "
+        f"{summary}: {estimate.vehicles} vehicles, focal x{math.exp(row.off[0]):.2f} "
+        f"tilt {math.degrees(row.off[1]):+.1f} height x{math.exp(row.off[2]):.2f} "
+        f"(in sigmas {' '.join(f'{v:.1f}' for v in row.sigmas)}), distances {np.median(row.distances):+.1%} "
+        f"travelled distances {np.median(row.ways) if row.ways.size else 0.0:+.1%}, stated within "
         f"{INTERVAL_SIGMAS * sigma_of_ways(estimate):.0%}",
         flush=True,
     )
@@ -210,10 +211,10 @@ SIZE = (640, 360)
 FOV_DEG = 80.0
 NOISE_PX = 1.0
 QUALITY = 85
-SWAYS_PX = (0.0, 0.2, 1.0, 3.0, 10.0)
+SHAKES_PX = (0.0, 0.2, 1.0, 3.0, 10.0)
 BUMP_PX = 40.0
 SLOWEST = 2.0
-"""Speeds are compared of vehicles that drive as fast as this, m/s."""
+"""Lowest speed of the vehicles whose speeds are compared, m/s."""
 MOMENTS = 5
 
 
@@ -224,27 +225,29 @@ class Shaken:
     file: AnnotationFile
     turns: list[Camera]
     """The camera in each frame."""
-    said: str
+    motion_text: str
     """The measured motion."""
 
 
-def moves(count: int, times_s: Sequence[float], sway_px: float, bump_px: float) -> Iterator[tuple[float, float, float]]:
-    """Shift (pixels) and turn (radians) of each frame."""
+def moves(
+    count: int, times_s: Sequence[float], shake_px: float, bump_px: float
+) -> Iterator[tuple[float, float, float]]:
+    """Yield the shift (pixels) and turn (radians) of each frame."""
     for k, time_s in enumerate(times_s):
         across, down = math.sin(2 * math.pi * time_s / 1.3), math.sin(2 * math.pi * time_s / 0.8 + 1)
-        roll = 3e-4 * sway_px * math.sin(2 * math.pi * time_s / 1.1 + 2)
-        yield sway_px * across + (bump_px if 2 * k >= count else 0.0), 0.4 * sway_px * down, roll
+        roll = 3e-4 * shake_px * math.sin(2 * math.pi * time_s / 1.1 + 2)
+        yield shake_px * across + (bump_px if 2 * k >= count else 0.0), 0.4 * shake_px * down, roll
 
 
 def at_rest(wide: Camera) -> Camera:
-    """A narrower camera at the place of a generated one."""
+    """Return a narrower camera at the position of a generated one."""
     focal = SIZE[0] / 2 / math.tan(math.radians(FOV_DEG) / 2)
     K = np.array([[focal, 0, SIZE[0] / 2], [0, focal, SIZE[1] / 2], [0, 0, 1]])
     return Camera(*SIZE, K, wide.T_camera_world)
 
 
 def seen_by(camera: Camera, wide: Camera, pixels: np.ndarray) -> np.ndarray:
-    """The image of a camera, from the image of a wider one at the same place, compressed."""
+    """Return the image of a camera, computed from the image of a wider one at the same position, and compressed."""
     u, v = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
     rays = camera.rays(np.stack([u, v], axis=-1).reshape(-1, 2))[0] @ camera.T_camera_world[:3, :3]
     at = wide.project(wide.position + rays)[0].reshape(SIZE[1], SIZE[0], 2).astype(np.float32) - np.float32(0.5)
@@ -254,7 +257,7 @@ def seen_by(camera: Camera, wide: Camera, pixels: np.ndarray) -> np.ndarray:
 
 
 def labelled(a: Annotation, wide: Camera, camera: Camera) -> Annotation | None:
-    """A vehicle in the image of a turned camera; None where too little of it is visible."""
+    """Return a vehicle in the image of a turned camera; None if too little of it is visible."""
     rays = wide.rays(a.keypoints[:, :2])[0] @ wide.T_camera_world[:3, :3]
     pixels, _, valid = camera.project(camera.position + rays)
     shown = valid & camera.inside(pixels) & (a.keypoints[:, 2] == 2)
@@ -272,41 +275,44 @@ def labelled(a: Annotation, wide: Camera, camera: Camera) -> Annotation | None:
     )
 
 
-def shaken(file: AnnotationFile, pictures: "Pictures", sway_px: float, bump_px: float) -> Shaken:
-    """The footage of a shaking camera with its labels, and its measured motion."""
+def shaken(file: AnnotationFile, pictures: "Pictures", shake_px: float, bump_px: float) -> Shaken:
+    """Return the footage of a shaking camera with its labels, and its measured motion."""
     wide = file.images[0].camera
     assert wide is not None
     rest = at_rest(wide)
     times = [image.time_s or 0.0 for image in file.images]
-    turns = [turned_camera(rest, *move) for move in moves(len(times), times, sway_px, bump_px)]
+    turns = [turned_camera(rest, *move) for move in moves(len(times), times, shake_px, bump_px)]
     watch, looks = CameraShakeEstimator(), ViewSamples()
     images = [replace(image, width=SIZE[0], height=SIZE[1], camera=rest) for image in file.images]
-    frames = ((one, seen_by(turn, wide, pictures(one))) for one, turn in zip(images, turns, strict=True))
+    frames = ((image, seen_by(turn, wide, pictures(image))) for image, turn in zip(images, turns, strict=True))
     for _ in looks.watch(watch.watch(frames)):
         pass
-    record = record_of(images, (watch.taken(one.id) for one in images), SIZE[0])
-    seconds = {one.id: time_s for one, time_s in zip(images, times, strict=True)}
+    record = record_of(images, (watch.taken(image.id) for image in images), SIZE[0])
+    seconds = {image.id: time_s for image, time_s in zip(images, times, strict=True)}
     changes = record.view_changes([(seconds[number], look) for number, look in looks.taken.items()])
     motion = record.motion(changes)
     by_image = file.by_image()
     labels = [
         made
-        for one, turn in zip(images, turns, strict=True)
-        for a in by_image[one.id]
+        for image, turn in zip(images, turns, strict=True)
+        for a in by_image[image.id]
         if not a.ignored and (made := labelled(a, wide, turn)) is not None
     ]
     info = {
         **({CHANGES_KEY: [change.to_dict() for change in changes]} if changes else {}),
         **({MOTION_KEY: motion.to_dict()} if motion else {}),
     }
-    said = f"{motion.median_px:.2f} px" if motion else "still"
-    said += "".join(f", moved at {change.time_s:.1f} s" for change in changes)
-    return Shaken(AnnotationFile(images=tuple(images), annotations=tuple(labels), info=info), turns, said)
+    motion_text = f"{motion.median_px:.2f} px" if motion else "still"
+    motion_text += "".join(f", moved at {change.time_s:.1f} s" for change in changes)
+    return Shaken(AnnotationFile(images=tuple(images), annotations=tuple(labels), info=info), turns, motion_text)
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of places (m) and speeds (m/s), whether places are within the stated 90% error, and how many have none."""
+    """Errors of positions (m) and speeds (m/s).
+
+    `within`: whether positions are within the stated 90% error. `without`: number of views without a position.
+    """
 
     places: Array
     speeds: Array
@@ -314,16 +320,16 @@ class Errors:
     without: int
 
     def __str__(self) -> str:
-        def told(values: Array, unit: str) -> str:
+        def interval_text(values: Array, unit: str) -> str:
             if not len(values):
                 return "-"
             return f"{np.median(values):.2f} {unit} (90%: {np.percentile(values, 90):.2f})"
 
-        return f"{told(self.places, 'm')} | {told(self.speeds, 'm/s')}"
+        return f"{interval_text(self.places, 'm')} | {interval_text(self.speeds, 'm/s')}"
 
 
 def errors_of(scene: Scene) -> Errors:
-    """How far places and speeds are from the truth of the labels."""
+    """Compare positions and speeds with the labels."""
     times = [image.time_s or 0.0 for image in scene.file.images]
     places, within, without, found = list[float](), list[bool](), 0, []
     for view in scene.views(noise=NOISE_PX):
@@ -351,7 +357,7 @@ def errors_of(scene: Scene) -> Errors:
 
 
 def scene_of(file: AnnotationFile, folder: Path, camera: Camera | None = None) -> Scene:
-    """The scene as the commands read it; `camera`: the one that it was calibrated to be."""
+    """Read a scene as the commands do; `camera` replaces its calibrated camera."""
     if camera is not None:
         file = replace(file, images=tuple(replace(image, camera=camera) for image in file.images))
     path = folder / "labels.json"
@@ -360,29 +366,29 @@ def scene_of(file: AnnotationFile, folder: Path, camera: Camera | None = None) -
 
 
 def row(footage: Shaken, name: str) -> str:
-    """A row of the table."""
+    """Format a row of the table."""
     bare = replace(footage.file, info={})
     with tempfile.TemporaryDirectory() as folder:
         kept, left = (errors_of(scene_of(file, Path(folder))) for file in (bare, footage.file))
         within = []
-        # Of footage that is knocked, calibrations are of its first half.
+        # For a camera that is knocked, the calibrations come from the first half.
         for k in np.linspace(0, 0.45 * len(footage.turns), MOMENTS).astype(int):
             scene = scene_of(footage.file, Path(folder), footage.turns[k])
             within += errors_of(scene).within.tolist()
     share = f"{np.mean(within):.0%}" if within else "-"
-    return f"| {name} | {footage.said} | {kept} | {left} | {left.without} | {share} |"
+    return f"| {name} | {footage.motion_text} | {kept} | {left} | {left.without} | {share} |"
 
 
 class Pictures:
-    """Pictures of the images of a file, from their folder, or one for all."""
+    """Pictures of the images in a file, from their folder, or the same picture for all."""
 
     def __init__(self, folder: Path | None, picture: Path | None, size: tuple[int, int]) -> None:
         self._folder, self._size = folder, size
-        self._one = None if picture is None else cv2.resize(read_image(picture), size, interpolation=cv2.INTER_AREA)
+        self._picture = None if picture is None else cv2.resize(read_image(picture), size, interpolation=cv2.INTER_AREA)
 
     def __call__(self, image: Image) -> np.ndarray:
-        if self._one is not None:
-            return self._one
+        if self._picture is not None:
+            return self._picture
         assert self._folder is not None
         return read_image(self._folder / image.file_name)
 
@@ -399,17 +405,19 @@ def vehicles_table(options: argparse.Namespace) -> None:
     rows, count = [], 0
     for name, recording in recordings(file):
         count += 1
-        own = [one for image in recording.images for one in by_image[image.id]]
-        rows.append(measure(name, recording, None if results is None else named(recording, own), options.broken))
+        recording_results = [detection for image in recording.images for detection in by_image[image.id]]
+        rows.append(
+            measure(name, recording, None if results is None else named(recording, recording_results), options.broken)
+        )
     answered = [row for row in rows if row is not None]
     print(f"{len(answered)} of {count} cameras answered")
     if answered:
         focal = np.abs([row.off[0] for row in answered])
         distance = np.abs([np.median(row.distances) for row in answered if row.distances.size])
         way = np.abs([np.median(row.ways) for row in answered if row.ways.size])
-        for what, errors in (("focal length", focal), ("distances", distance), ("travelled distances", way)):
+        for quantity, errors in (("focal length", focal), ("distances", distance), ("travelled distances", way)):
             if len(errors):
-                print(f"{what}: median error {np.median(errors):.1%}, 90% within {np.percentile(errors, 90):.1%}")
+                print(f"{quantity}: median error {np.median(errors):.1%}, 90% within {np.percentile(errors, 90):.1%}")
         inside = np.mean([row.sigmas < 2 for row in answered], axis=0)
         print(f"95% intervals cover the truth: focal {inside[0]:.0%}, tilt {inside[1]:.0%}, height {inside[2]:.0%}")
 
@@ -419,10 +427,11 @@ def shake_table(options: argparse.Namespace) -> None:
     file = coco.read(options.annotations)
     first = file.images[0]
     pictures = Pictures(options.images, options.picture, (first.width, first.height))
-    print("| shake | measured | places without | speeds without | places | speeds | without metres | within 90% |")
+    print("| shake | measured | positions, uncorrected | speeds, uncorrected | positions | speeds ", end="")
+    print("| without position | within 90% |")
     print("|---|---|---|---|---|---|---|---|")
-    for sway_px in SWAYS_PX:
-        print(row(shaken(file, pictures, sway_px, 0.0), f"{sway_px:g} px"), flush=True)
+    for shake_px in SHAKES_PX:
+        print(row(shaken(file, pictures, shake_px, 0.0), f"{shake_px:g} px"), flush=True)
     print(row(shaken(file, pictures, 1.0, BUMP_PX), f"1 px, and {BUMP_PX:g} px halfway"), flush=True)
 
 
@@ -431,15 +440,15 @@ def main() -> None:
     commands = parser.add_subparsers(required=True)
     vehicles = commands.add_parser("vehicles", help="cameras that are estimated from vehicles")
     vehicles.add_argument("annotations", type=Path, help="labels of generated recordings, with their cameras")
-    vehicles.add_argument("--predictions", type=Path, help="COCO results for them, in place of noisy labels")
+    vehicles.add_argument("--predictions", type=Path, help="COCO results for them, instead of noisy labels")
     faults = (*warps(2, 2), "noise", "swap")
-    vehicles.add_argument("--broken", choices=faults, default="", help="a fault of --predictions")
+    vehicles.add_argument("--broken", choices=faults, default="", help="simulate this fault in --predictions")
     vehicles.set_defaults(run=vehicles_table)
     shake = commands.add_parser("shake", help="positions and speeds when a camera shakes")
     shake.add_argument("annotations", type=Path, help="labels of a generated recording, with its camera")
     where = shake.add_mutually_exclusive_group(required=True)
     where.add_argument("--images", type=Path, help="folder of the labels' images")
-    where.add_argument("--picture", type=Path, help="one image for all: of an empty road")
+    where.add_argument("--picture", type=Path, help="one image of an empty road, used for all")
     shake.set_defaults(run=shake_table)
     options = parser.parse_args()
     options.run(options)

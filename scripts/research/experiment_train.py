@@ -1,22 +1,22 @@
-"""What a shortcut, a choice or a label rule does to PCK: the same training with and without it, over several seeds.
+"""Effect of a shortcut, a choice or a label rule on PCK: the same training with and without it, over several seeds.
 
     python scripts/research/experiment_train.py --data data/skope --init auto --epochs 10 --device cuda --out runs/x
 
-Each variant trains the same recipe with some values set otherwise, from the same weights, on the same images for the
-same number of steps, once a seed, and is measured on the test splits in float32. Finished trainings are not done again:
-the same command goes on after an interruption. The table gives mean and sample standard deviation over the seeds;
-`exact` is torchvision's own arithmetic, without any shortcut. Variants of the labels (boxes of what is seen, no ignored
-vehicles) learn from a copy of the annotations, and `varied` from the dataset of --varied; all are measured on the
-test splits of --data, `visible boxes` on its own kind of box too, and on those of --varied where it is given.
+Each variant trains the same recipe with some values changed, from the same weights, on the same images for the same
+number of steps, once per seed, and is measured on the test splits in float32. Finished trainings are not repeated: the
+same command resumes after an interruption. The table gives mean and sample standard deviation over the seeds. `exact`
+is torchvision's own arithmetic, without any shortcut. Variants of the labels (visible boxes, no ignored vehicles) train
+on a copy of the annotations, and `varied` on the dataset of --varied. All are measured on the test splits of --data,
+`visible boxes` also on its own kind of box, and on those of --varied if it is given.
 
-On a machine with several GPUs start it several times, with other --variants or --seeds and CUDA_VISIBLE_DEVICES; the
-command with all of them does what is missing and prints the table. --fresh-heads takes only backbone and pyramid
-from --init, as from COCO weights, which know nothing of these keypoints either.
+On a machine with several GPUs start it several times, with different --variants or --seeds and CUDA_VISIBLE_DEVICES;
+the command with all of them then adds what is missing and prints the table. --fresh-heads takes only backbone and
+pyramid from --init, as from COCO weights, which do not know these keypoints either.
 
-What images are worth is asked with --images NAME=FOLDER, repeated: the same short training on as many images of each
-dataset, from --init (the detector of the package, say), measured on the test splits of --data and on hand-labelled
---photographs (see scripts/score_photographs.py; each look is logged in their own folder under --out). Vehicles of the
-photographs are paired: paired.md gives differences from the first dataset with their standard error over vehicles.
+--images NAME=FOLDER, repeated, compares datasets: the same short training on as many images of each dataset, from
+--init (such as the detector of the package), measured on the test splits of --data and on hand-labelled --photographs
+(see scripts/score_photographs.py; each use is logged in a folder of its own under --out). Vehicles of the photographs
+are paired: paired.md gives differences from the first dataset with their standard error over vehicles.
 
     python scripts/research/experiment_train.py --images varied=data/varied --images world=data/world --data data/tests
         --init road33 --set learning_rate=0.004 --max-images 1900 --epochs 3 --photographs real --out runs/worth
@@ -51,7 +51,7 @@ from skope.train.run_config import RunConfig
 
 EXACT = ("bfloat16=false", "keypoint_regions=none", "fold_norms=false", "channels_last=false")
 FAST = ("bfloat16=true", "keypoint_regions=48", "fold_norms=true", "channels_last=true")
-SIGHT = "supervise=visible"
+VISIBLE_ONLY = "supervise=visible"
 LIVELY = tuple(f"augment.{name}" for name in ("crop=0.5", "occluders=0.3", "brightness=0.3", "color=0.3", "jpeg=0.2"))
 
 Row = dict[str, Any]
@@ -63,13 +63,13 @@ class Variant:
 
     settings: Sequence[str]
     labels: Callable[[Sequence[Row]], list[Row]] | None = None
-    """What becomes of the annotations, rows of the annotation file, before they are learnt from."""
+    """Changes the rows of the annotation file before training."""
     measured_so: bool = False
-    """Whether the test splits are looked at with `labels` too."""
+    """Whether the test splits are also measured with `labels`."""
     varied: bool = False
-    """Whether it learns from --varied."""
+    """Whether it trains on --varied."""
     images: Path | None = None
-    """Dataset that it learns from, in place of --data."""
+    """Dataset to train on instead of --data."""
 
 
 def visible_boxes(rows: Sequence[Row]) -> list[Row]:
@@ -77,33 +77,33 @@ def visible_boxes(rows: Sequence[Row]) -> list[Row]:
 
 
 def none_ignored(rows: Sequence[Row]) -> list[Row]:
-    """What would be ignored is background."""
+    """Train on ignored vehicles as background."""
     return [row for row in rows if not row["iscrowd"]]
 
 
 VARIANTS: dict[str, Variant] = {
-    "exact": Variant((*EXACT, SIGHT)),
-    "folded norms, channels last": Variant((*EXACT[:2], *FAST[2:], SIGHT)),
-    "bfloat16": Variant((FAST[0], *EXACT[1:], SIGHT)),
-    "16 keypoint regions": Variant((EXACT[0], "keypoint_regions=16", *EXACT[2:], SIGHT)),
-    "32 keypoint regions": Variant((EXACT[0], "keypoint_regions=32", *EXACT[2:], SIGHT)),
-    "all shortcuts": Variant((*FAST, SIGHT)),
-    "all shortcuts, 32 keypoint regions": Variant((FAST[0], "keypoint_regions=32", *FAST[2:], SIGHT)),
+    "exact": Variant((*EXACT, VISIBLE_ONLY)),
+    "folded norms, channels last": Variant((*EXACT[:2], *FAST[2:], VISIBLE_ONLY)),
+    "bfloat16": Variant((FAST[0], *EXACT[1:], VISIBLE_ONLY)),
+    "16 keypoint regions": Variant((EXACT[0], "keypoint_regions=16", *EXACT[2:], VISIBLE_ONLY)),
+    "32 keypoint regions": Variant((EXACT[0], "keypoint_regions=32", *EXACT[2:], VISIBLE_ONLY)),
+    "all shortcuts": Variant((*FAST, VISIBLE_ONLY)),
+    "all shortcuts, 32 keypoint regions": Variant((FAST[0], "keypoint_regions=32", *FAST[2:], VISIBLE_ONLY)),
     "hidden points learnt": Variant((*FAST, "supervise=all")),
-    "augmented": Variant((*FAST, SIGHT, *LIVELY)),
-    "visible boxes": Variant((*FAST, SIGHT), labels=visible_boxes, measured_so=True),
-    "none ignored": Variant((*FAST, SIGHT), labels=none_ignored),
-    "no pickups": Variant((*FAST, SIGHT, "exclude_types=pickup")),
-    "varied cameras": Variant((*FAST, SIGHT), varied=True),
+    "augmented": Variant((*FAST, VISIBLE_ONLY, *LIVELY)),
+    "visible boxes": Variant((*FAST, VISIBLE_ONLY), labels=visible_boxes, measured_so=True),
+    "none ignored": Variant((*FAST, VISIBLE_ONLY), labels=none_ignored),
+    "no pickups": Variant((*FAST, VISIBLE_ONLY, "exclude_types=pickup")),
+    "varied cameras": Variant((*FAST, VISIBLE_ONLY), varied=True),
 }
 FIGURES = ("pck", "pck_given", "keypoint_recall", "box_recall")
 
 
 def main() -> None:
     options = parse()
-    VARIANTS.update({name: Variant((*FAST, SIGHT, *LIVELY), images=Path(at)) for name, at in options.images})
+    VARIANTS.update({name: Variant((*FAST, VISIBLE_ONLY, *LIVELY), images=Path(at)) for name, at in options.images})
     names = options.variants or [name for name, _ in options.images]
-    names = names or [name for name, one in VARIANTS.items() if options.varied or not one.varied]
+    names = names or [name for name, variant in VARIANTS.items() if options.varied or not variant.varied]
     if options.fresh_heads:
         options.init = str(headless(options.init, options.out / "first_weights.safetensors"))
     rows = [measured(options, name, seed) for seed in options.seeds for name in names]
@@ -121,21 +121,21 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--varied", type=Path, help="dataset of the preset `varied`")
     parser.add_argument(
-        "--images", type=named_folder, action="append", default=[], metavar="NAME=FOLDER", help="learn from this one"
+        "--images", type=named_folder, action="append", default=[], metavar="NAME=FOLDER", help="train on this dataset"
     )
     parser.add_argument("--photographs", type=Path, help="folder of hand-labelled photographs")
     parser.add_argument("--out", type=Path, default=Path("runs/experiment"))
     parser.add_argument("--recipe", default="paper", choices=tuple(SHIPPED_RECIPES))
     parser.add_argument("--init", default="auto", help="as `skope train` takes it")
-    parser.add_argument("--fresh-heads", action="store_true", help="of --init, a checkpoint, only the backbone")
+    parser.add_argument("--fresh-heads", action="store_true", help="take only the backbone of the checkpoint --init")
     parser.add_argument("--epochs", type=int)
     parser.add_argument("--min-size", type=int)
     parser.add_argument("--max-images", type=int)
-    parser.add_argument("--set", action="append", default=[], help="a value of the recipe, for every variant")
+    parser.add_argument("--set", action="append", default=[], help="set a value of the recipe in every variant")
     parser.add_argument("--seeds", type=int, nargs="*", default=[0, 1, 2])
     parser.add_argument("--variants", nargs="*", help=f"default: all of --images, or all of {', '.join(VARIANTS)}")
     parser.add_argument("--splits", nargs="*", default=["easy", "medium", "hard"])
-    parser.add_argument("--test-images", type=int, default=300, help="of each split, with vehicles, evenly spread")
+    parser.add_argument("--test-images", type=int, default=300, help="images with vehicles per split, evenly spread")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--workers", type=int, default=8)
     return parser.parse_args()
@@ -149,14 +149,14 @@ def named_folder(text: str) -> tuple[str, Path]:
 def recipe_of(options: argparse.Namespace, name: str) -> Recipe:
     common = [f"init={options.init}", *([f"epochs={options.epochs}"] if options.epochs else []), *options.set]
     variant = VARIANTS[name]
-    # What a variant is, no flag changes; where it is its images, --set may change everything else.
+    # No flag changes what defines a variant. Where images define it, --set may change everything else.
     settings = [*variant.settings, *common] if variant.images else [*common, *variant.settings]
     recipe = adjusted_recipe(SHIPPED_RECIPES[options.recipe], settings)
     return recipe.with_min_size(options.min_size) if options.min_size else recipe
 
 
 def headless(init: str, path: Path) -> Path:
-    """A weights file with the backbone and pyramid of a checkpoint and heads that know nothing yet."""
+    """Write weights with the backbone and pyramid of a checkpoint, and untrained heads; returns the path."""
     model, config, _ = load_weights(find_checkpoint(Path(init)), torch.device("cpu"))
     kept = {name: value for name, value in model.state_dict().items() if name.startswith("backbone.")}
     with torch.random.fork_rng(devices=[]):
@@ -168,7 +168,7 @@ def headless(init: str, path: Path) -> Path:
 
 
 def measured(options: argparse.Namespace, name: str, seed: int) -> Row:
-    """Train and measure, or what was found when that was done before."""
+    """Train and measure, or return the result of an earlier run."""
     folder = options.out / f"{name.replace(' ', '_').replace(',', '')}_{seed}"
     done = folder / "result.json"
     if done.is_file():
@@ -176,8 +176,8 @@ def measured(options: argparse.Namespace, name: str, seed: int) -> Row:
     device = choose_device(options.device)
     recipe, variant = recipe_of(options, name), VARIANTS[name]
     data = variant.images or (options.varied if variant.varied else options.data)
-    own = relabelled(data, variant.labels, folder / "data") if variant.labels else data
-    config = RunConfig(recipe=recipe, seed=seed, data=(str(own),), mix=None, max_images=options.max_images)
+    learnt = relabelled(data, variant.labels, folder / "data") if variant.labels else data
+    config = RunConfig(recipe=recipe, seed=seed, data=(str(learnt),), mix=None, max_images=options.max_images)
     console = Console()
     console.say(f"--- {name}, seed {seed}")
     checkpoint = loop.train(
@@ -196,7 +196,7 @@ def measured(options: argparse.Namespace, name: str, seed: int) -> Row:
 
     found = figures_on(options.data)
     if variant.measured_so:
-        found |= {f"{split}, its own boxes": row for split, row in figures_on(own).items()}
+        found |= {f"{split}, its own boxes": row for split, row in figures_on(learnt).items()}
     if options.varied:
         found |= {f"{split}, varied": row for split, row in figures_on(options.varied).items()}
     row = {"variant": name, "seed": seed, "splits": found, "recipe": recipe.to_dict()}
@@ -209,7 +209,7 @@ def measured(options: argparse.Namespace, name: str, seed: int) -> Row:
 
 
 def on_photographs(photographs: Path, checkpoint: Path, out: Path, device: torch.device) -> Row:
-    """What scripts/score_photographs.py finds, of all photographs and of each vehicle."""
+    """Run scripts/score_photographs.py; returns its figures of all photographs and of each vehicle."""
     script = Path(__file__).parents[1] / "score_photographs.py"
     command = [sys.executable, str(script), str(photographs), "--checkpoint", str(checkpoint), "--out", str(out)]
     subprocess.run([*command, "--device", str(device)], check=True, stdout=subprocess.DEVNULL)
@@ -219,22 +219,25 @@ def on_photographs(photographs: Path, checkpoint: Path, out: Path, device: torch
 
 
 def paired(rows: Sequence[Row], names: Sequence[str]) -> str:
-    """Markdown: figures on the photographs, and differences from the first variant over vehicles, mean of the seeds."""
+    """Format figures on the photographs, and differences from the first variant, as Markdown.
+
+    Differences are means over the seeds, with their standard error over vehicles.
+    """
     head = ["images", "found, %", "in given boxes, %", "difference", "difference in given boxes"]
-    head += ["AP50", "recall at precision .90", "phantoms a frame"]
+    head += ["AP50", "recall at precision .90", "phantoms per frame"]
     lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
     first: dict[str, np.ndarray] = {}
     for name in names:
-        own = [row["photographs"] for row in rows if row["variant"] == name]
-        points, boxes = ([one["all"][part] for one in own] for part in ("keypoints", "boxes"))
+        scored = [row["photographs"] for row in rows if row["variant"] == name]
+        points, boxes = ([row["all"][part] for row in scored] for part in ("keypoints", "boxes"))
         cells = [name]
         shown = ("share_of_all", "share_in_given_boxes")
         cells += [spread([100 * of[figure] for of in points]) for figure in shown]
         for figure in ("found", "found_in_given_boxes"):
             shares = np.array(
-                [[v[figure], v["labelled"]] for one in own for v in one["vehicles"].values()], dtype=float
+                [[v[figure], v["labelled"]] for row in scored for v in row["vehicles"].values()], dtype=float
             )
-            mine = shares.reshape(len(own), -1, 2).mean(axis=0)
+            mine = shares.reshape(len(scored), -1, 2).mean(axis=0)
             gap = 100 * (mine[:, 0] - first.setdefault(figure, mine)[:, 0]) / mine[:, 1].mean()
             cells.append(f"{gap.mean():+.1f} ± {gap.std(ddof=1) / len(gap) ** 0.5:.1f}")
         cells.append(spread([of["ap50"] for of in boxes], 3))
@@ -245,13 +248,13 @@ def paired(rows: Sequence[Row], names: Sequence[str]) -> str:
 
 
 def spread(values: Sequence[float], digits: int = 1) -> str:
-    """Mean, and standard deviation where there are several."""
+    """Format the mean, and the standard deviation of several values."""
     beside = f" ± {statistics.stdev(values):.{digits}f}" if len(values) > 1 else ""
     return f"{statistics.mean(values):.{digits}f}{beside}"
 
 
 def relabelled(data: Path, change: Callable[[Sequence[Row]], list[Row]], out: Path) -> Path:
-    """A dataset folder with the images of another and its annotations changed."""
+    """Write a dataset folder with the images of another one and changed annotations."""
     for path in (data / "annotations").glob("*.json"):
         document = read_json(path)
         write_json(out / "annotations" / path.name, {**document, "annotations": change(document["annotations"])})
@@ -265,7 +268,7 @@ def relabelled(data: Path, change: Callable[[Sequence[Row]], list[Row]], out: Pa
 def figures(
     options: argparse.Namespace, model: KeypointRCNN, categories: Sequence[str], folder: Path, device: torch.device
 ) -> dict[str, Row]:
-    """Of each test split, and of its pickups alone where there are some."""
+    """Measure each test split, and its pickups alone if it has any."""
     data = open_dataset(folder)
     found = {}
     for split in options.splits:
@@ -280,14 +283,14 @@ def figures(
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Markdown: a line for each variant and split."""
+    """Format a row for each variant and split as Markdown."""
     lines = ["| variant | split | " + " | ".join(FIGURES) + " |", "|---" * (2 + len(FIGURES)) + "|"]
     for name in dict.fromkeys(row["variant"] for row in rows):
-        own = [row["splits"] for row in rows if row["variant"] == name]
-        for split in own[0]:
+        by_seed = [row["splits"] for row in rows if row["variant"] == name]
+        for split in by_seed[0]:
             cells = []
             for figure in FIGURES:
-                known = [100 * row[split][figure] for row in own if row[split][figure] is not None]
+                known = [100 * row[split][figure] for row in by_seed if row[split][figure] is not None]
                 spread = f" ± {statistics.stdev(known):.2f}" if len(known) > 1 else ""
                 cells.append(f"{statistics.mean(known):.2f}{spread}" if known else "-")
             lines.append(f"| {name} | {split} | " + " | ".join(cells) + " |")

@@ -1,4 +1,4 @@
-"""How well vehicles in generated footage are found and tracked, against its labels.
+"""Scores of the detection and tracking of vehicles in generated footage, against its labels.
 
     skope gen video t06_plaza_opening --fps 10 --seconds 12 --out footage     # and other sites
     skope eval predict footage/t06_plaza_opening.mp4 --out seen/as_it_is/t06_plaza_opening
@@ -9,13 +9,13 @@
     python scripts/research/footage_scores.py tracks footage/SITE.json --predictions seen/predictions.json
 
 `frames`: the first folder holds the labels of `skope gen video`. Each other folder is a mode, with a folder of
-`skope eval predict` for each file of labels. The table has vehicles (not ignored, in all frames together), precision,
-false positives per frame, recall, recall of vehicles in their first second, PCK@0.1 of found vehicles, and recall at
-precision 0.90, all at IoU 0.6.
+`skope eval predict` for each label file. The columns of the table are vehicles (not ignored, in all frames together),
+precision, false positives per frame, recall, recall of vehicles in their first second, PCK@0.1 of found vehicles, and
+recall at precision 0.90, all at IoU 0.6.
 
-`tracks`: the footage is thinned to each frame rate and tracked by `skope eval track`. A vehicle counts if it is
-labelled in at least three frames over at least a second. It is tracked if one track has it in half of them. HOTA and
-IDF1 are TrackEval's, where that is installed.
+`tracks`: the footage is reduced to each frame rate and tracked by `skope eval track`. A vehicle counts if it is
+labelled in at least three frames over at least a second. It counts as tracked if one track covers half of them. HOTA
+and IDF1 are computed by TrackEval, if it is installed.
 """
 
 import argparse
@@ -49,7 +49,7 @@ from skope.schema import Annotation, AnnotationFile, Result
 IOU: Final = 0.6
 ALPHA: Final = 0.1
 JUST_ENTERED_S: Final = 1.0
-"""Time for which a vehicle counts as one that has just entered."""
+"""Time for which a vehicle counts as just entered."""
 PRECISION: Final = 0.9
 COLUMNS: Final = (
     *("vehicles", "precision", "false positives per frame", "recall", "of those in their first second", "PCK %"),
@@ -59,7 +59,7 @@ COLUMNS: Final = (
 
 @dataclass(frozen=True)
 class Counts:
-    """Sums over frames; those of several clips add up."""
+    """Sums over frames; the counts of several clips can be added."""
 
     frames: int = 0
     vehicles: int = 0
@@ -70,7 +70,7 @@ class Counts:
     labelled: int = 0
     correct: int = 0
     scores: tuple[float, ...] = ()
-    """Scores of all detections that count, low ones too."""
+    """Scores of all detections that count, including low ones."""
     hits: tuple[bool, ...] = ()
     """Whether each of these detections is a vehicle."""
 
@@ -78,7 +78,7 @@ class Counts:
         return Counts(*(getattr(self, field.name) + getattr(other, field.name) for field in fields(self)))
 
     def cells(self) -> list[str]:
-        """The cells of `COLUMNS`."""
+        """Return the cells of `COLUMNS`."""
         shares = (
             ratio(self.found, self.found + self.false_positives),
             ratio(self.false_positives, self.frames),
@@ -91,7 +91,7 @@ class Counts:
 
 
 def count(truth: AnnotationFile, results: Sequence[Result], score: float = 0.0) -> Counts:
-    """Compare the detections of each frame of a clip with scores above `score` with its labels."""
+    """Compare the detections with scores above `score` with the labels, in each frame of a clip."""
     everything = match(truth, results, score=0.0, thresholds=(IOU,))
     scores, hits = ranked(everything, IOU)
     matches = match(truth, results, score=score, thresholds=(IOU,)) if score else everything
@@ -101,7 +101,7 @@ def count(truth: AnnotationFile, results: Sequence[Result], score: float = 0.0) 
     first = {track: times[tracks == track].min() for track in set(tracks.tolist())}
     entered = np.array([first[track] for track in tracks.tolist()])
     begin = min((image.time_s or 0.0 for image in truth.images), default=0.0)
-    # A vehicle that is there when the clip begins has not just entered.
+    # A vehicle that is present when the clip begins has not just entered.
     entering = (times - entered < JUST_ENTERED_S) & (entered > begin)
     found = outcomes.found
     return Counts(
@@ -119,14 +119,14 @@ def count(truth: AnnotationFile, results: Sequence[Result], score: float = 0.0) 
 
 
 def rows(labels: Sequence[Path], modes: Sequence[Path]) -> Iterator[list[str]]:
-    """A row for each clip and mode, then one of all clips for each mode."""
+    """Yield a row for each clip and mode, then one over all clips for each mode."""
     sums = dict.fromkeys(modes, Counts())
     for path in labels:
         truth = coco.read(path)
         for mode in modes:
-            one = count(truth, read_vehicle_results(mode / path.stem / PREDICTIONS_FILE, truth))
-            sums[mode] += one
-            yield [path.stem, str(mode), *one.cells()]
+            clip_counts = count(truth, read_vehicle_results(mode / path.stem / PREDICTIONS_FILE, truth))
+            sums[mode] += clip_counts
+            yield [path.stem, str(mode), *clip_counts.cells()]
     for mode, total in sums.items():
         yield ["all", str(mode), *total.cells()]
 
@@ -138,7 +138,7 @@ def _text(value: float | None, digits: int) -> str:
 NOISE_PX = 2.0
 FEWEST, LEAST_S = 3, 1.0
 SLOW = 2.0
-"""Speed, m/s, from which relative errors mean something."""
+"""Lowest speed, m/s, at which relative errors are meaningful."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,20 +152,20 @@ class Row:
     speed: Sequence[float]
     """|error| / speed of each vehicle and frame, for vehicles faster than `SLOW`."""
     in_sigmas: Sequence[float]
-    """|error| of these speeds over the standard deviation in tracks.csv: median 0.67 if those are right."""
+    """|error| of these speeds over the standard deviation in tracks.csv; the median is 0.67 if those are right."""
     heading: Sequence[float]
     """|error| of the heading of each vehicle and frame, degrees."""
     scores: dict[str, float]
-    """TrackEval's, by name."""
+    """TrackEval's metrics by name."""
 
 
 def thinned(
     file: AnnotationFile, results: Sequence[Result] | None, fps: float
 ) -> tuple[AnnotationFile, list[Result] | None]:
-    """Images at a lower frame rate, with their annotations and results."""
+    """Reduce the frame rate; returns the images with their annotations, and the results."""
     times = [image.time_s for image in file.images]
     if any(time is None for time in times):
-        sys.exit(f"{file.name}: its images carry no times")
+        sys.exit(f"{file.name}: its images have no times")
     full = 1 / float(np.median(np.diff(np.array(times, dtype=float))))
     images = file.images[:: max(1, round(full / fps))]
     ids = {image.id for image in images}
@@ -188,7 +188,7 @@ def measure(file: AnnotationFile, results: list[Result] | None, folder: Path) ->
 
 
 def judged(file: AnnotationFile, folder: Path) -> Row:
-    """Compare what `skope eval track` wrote with the truth, box by box."""
+    """Compare the output of `skope eval track` with the truth, box by box."""
     poses = {
         (r["track"], r["frame"]): r for r in csv.DictReader((folder / "tracks" / "tracks.csv").read_text().splitlines())
     }
@@ -196,7 +196,7 @@ def judged(file: AnnotationFile, folder: Path) -> Row:
     for line in (folder / "tracks" / "mot.txt").read_text().splitlines():
         frame, number, *box = line.split(",")[:6]
         seen[int(frame) - 1].append((number, np.array(box, dtype=float)))
-    who: dict[int, list[str | None]] = defaultdict(list)
+    tracks_of: dict[int, list[str | None]] = defaultdict(list)
     times: dict[int, list[float]] = defaultdict(list)
     speed, in_sigmas, heading = [], [], []
     labelled = file.by_image()
@@ -207,7 +207,7 @@ def judged(file: AnnotationFile, folder: Path) -> Row:
             assert vehicle.track_id is not None
             assert image.time_s is not None
             number = taken.get(vehicle.id)
-            who[vehicle.track_id].append(number)
+            tracks_of[vehicle.track_id].append(number)
             times[vehicle.track_id].append(image.time_s)
             row = poses.get((number, str(image.frame_index))) if number else None
             if row is None or vehicle.velocity is None or vehicle.box_3d is None:
@@ -219,11 +219,11 @@ def judged(file: AnnotationFile, folder: Path) -> Row:
                 in_sigmas.append(error / float(row["sigma_speed"]))
             turn = math.radians(float(row["heading_deg"])) - vehicle.box_3d.yaw
             heading.append(abs(math.degrees((turn + math.pi) % (2 * math.pi) - math.pi)))
-    counted = [v for v in who if len(who[v]) >= FEWEST and times[v][-1] - times[v][0] >= LEAST_S]
-    numbers = {v: [n for n in who[v] if n is not None] for v in counted}
+    counted = [v for v in tracks_of if len(tracks_of[v]) >= FEWEST and times[v][-1] - times[v][0] >= LEAST_S]
+    numbers = {v: [n for n in tracks_of[v] if n is not None] for v in counted}
     return Row(
         vehicles=len(counted),
-        tracked=sum(Counter(numbers[v]).most_common(1)[0][1] >= len(who[v]) / 2 for v in counted if numbers[v]),
+        tracked=sum(Counter(numbers[v]).most_common(1)[0][1] >= len(tracks_of[v]) / 2 for v in counted if numbers[v]),
         switches=sum(a != b for v in counted for a, b in zip(numbers[v], numbers[v][1:], strict=False)),
         tracks=len({number for number, _ in poses}),
         speed=speed,
@@ -234,7 +234,7 @@ def judged(file: AnnotationFile, folder: Path) -> Row:
 
 
 def matched(truth: Sequence[Annotation], found: Sequence[tuple[str, Any]]) -> dict[int, str]:
-    """Track by annotation id, best overlaps first."""
+    """Return the track of each annotation by its id, best overlaps first."""
     if not truth or not found:
         return {}
     overlap = boxes.iou(
@@ -251,13 +251,13 @@ def matched(truth: Sequence[Annotation], found: Sequence[tuple[str, Any]]) -> di
 
 
 def trackeval_scores(folder: Path, frames: int) -> dict[str, float]:
-    """HOTA and IDF1 of MotChallenge2DBox; empty where TrackEval is not installed."""
+    """Compute HOTA and IDF1 of MotChallenge2DBox; empty if TrackEval is not installed."""
     try:
         import trackeval  # type: ignore[import-not-found]
     except ImportError:
         return {}
-    gt, own = folder / "gt" / "site" / "gt", folder / "trackers" / "skope" / "data"
-    for path, name, source in ((gt, "gt.txt", "mot_truth.txt"), (own, "site.txt", "mot.txt")):
+    gt, tracker = folder / "gt" / "site" / "gt", folder / "trackers" / "skope" / "data"
+    for path, name, source in ((gt, "gt.txt", "mot_truth.txt"), (tracker, "site.txt", "mot.txt")):
         path.mkdir(parents=True)
         (path / name).write_text((folder / "tracks" / source).read_text())
     (gt.parent / "seqinfo.ini").write_text(f"[Sequence]\nname=site\nseqLength={frames}\n")
@@ -310,13 +310,13 @@ def tracks_table(options: argparse.Namespace) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
-    frames = commands.add_parser("frames", help="vehicles in each frame, by way of running a detector")
+    frames = commands.add_parser("frames", help="score vehicles in each frame, by mode of the detector")
     frames.add_argument("labels", type=Path, help="folder of the labels of `skope gen video`")
-    frames.add_argument("modes", type=Path, nargs="+", help="folders of folders of `skope eval predict`")
+    frames.add_argument("modes", type=Path, nargs="+", help="folders that contain folders of `skope eval predict`")
     frames.set_defaults(run=frames_table)
-    tracks = commands.add_parser("tracks", help="tracks by frame rate")
+    tracks = commands.add_parser("tracks", help="score tracks, by frame rate")
     tracks.add_argument("footage", type=Path, help="annotation file of `skope gen video`")
-    tracks.add_argument("--predictions", type=Path, help="COCO results for its images, in place of noisy labels")
+    tracks.add_argument("--predictions", type=Path, help="COCO results for its images, instead of noisy labels")
     tracks.add_argument("--fps", default="25,10,5,2.5,2", help="frame rates, separated by commas")
     tracks.set_defaults(run=tracks_table)
     options = parser.parse_args()

@@ -3,10 +3,10 @@
     python scripts/research/marker_offsets.py dev_real.json
 
 For each kind of keypoint, the fleet's shape space is fitted to the other labelled keypoints of each vehicle, without
-road and camera: the field of view of a site is the one of a few under which its vehicles fit best. The keypoints of the
-kind are then projected and compared with their labels. A line for each kind gives the number of points, the median
-distance, and the median shift of the labels from the model: outwards from the box's middle along the image's rows, and
-downwards; in hundredths of the box's longer edge.
+road and camera. The field of view of a site is the one of a few candidates at which its vehicles fit best. The
+keypoints of the kind are then projected and compared with their labels. Each kind has a row with the number of points,
+the median distance, and the median shift of the labels from the model: outwards from the middle of the box along the
+image's rows, and downwards; in hundredths of the longer edge of the box.
 """
 
 import argparse
@@ -26,13 +26,13 @@ from skope.types import Array
 
 FIELDS_DEG = (12.0, 20.0, 30.0, 45.0, 65.0)
 FEWEST = 7
-"""Points that a vehicle is fitted to, at least."""
+"""Fewest points that a vehicle is fitted to."""
 SIGMA = 0.012
-"""Standard deviation of a label, as a share of the box's longer edge."""
+"""Standard deviation of a label, relative to the longer edge of the box."""
 
 
 def kinds() -> dict[str, list[int]]:
-    """Indices of the keypoints of each kind, both sides together."""
+    """Return the indices of the keypoints of each kind, both sides together."""
     out = defaultdict(list)
     for i, name in enumerate(keypoints.NAMES):
         out[name.removesuffix("_left").removesuffix("_right")].append(i)
@@ -40,7 +40,7 @@ def kinds() -> dict[str, list[int]]:
 
 
 def fitted(image: Image, vehicles: list[Annotation], fov_deg: float, without: list[int], shapes: Shapes) -> Poses:
-    """The vehicles of an image fitted to their labelled keypoints but some."""
+    """Fit the vehicles of an image to their labelled keypoints except those in `without`."""
     camera = camera_of(image, fov_deg)
     found = np.array([a.keypoints for a in vehicles])
     found[..., 2] = found[..., 2] == 2
@@ -50,13 +50,13 @@ def fitted(image: Image, vehicles: list[Annotation], fov_deg: float, without: li
 
 
 def camera_of(image: Image, fov_deg: float) -> Camera:
-    """A camera of that field of view that looks level."""
+    """Return a level camera with that field of view."""
     size = (image.width, image.height)
     return Camera.looking([0, 0, 0], yaw=0, pitch_down=0, roll=0, size=size, fov=np.radians(fov_deg))
 
 
 def field_of_view(images: list[tuple[Image, list[Annotation]]], shapes: Shapes) -> float:
-    """The field of view, degrees, under which the vehicles of one site fit best."""
+    """Return the field of view, degrees, under which the vehicles of one site fit best."""
 
     def misfit(fov_deg: float) -> float:
         costs = []
@@ -72,7 +72,10 @@ def field_of_view(images: list[tuple[Image, list[Annotation]]], shapes: Shapes) 
 def offsets(
     images: list[tuple[Image, list[Annotation]]], fov_deg: float, kind: list[int], shapes: Shapes
 ) -> Iterator[Array]:
-    """(3,) for each labelled point of a kind: distance, shift outwards, shift downwards; in longer edges of the box."""
+    """Yield the offset (3,) of each labelled point of a kind: distance, shift outwards, shift downwards.
+
+    Offsets are relative to the longer edge of the box.
+    """
     for image, vehicles in images:
         poses = fitted(image, vehicles, fov_deg, kind, shapes)
         camera = camera_of(image, fov_deg)
@@ -81,8 +84,8 @@ def offsets(
                 continue
             x, _, w, h = vehicle.bbox
             world = poses.points[i, kind] @ poses.T_world_vehicle[i, :3, :3].T + poses.T_world_vehicle[i, :3, 3]
-            there = camera.project(world)[0]
-            for at, label in zip(there, vehicle.keypoints[kind], strict=True):
+            projected = camera.project(world)[0]
+            for at, label in zip(projected, vehicle.keypoints[kind], strict=True):
                 if label[2] == 2:
                     away = (label[:2] - at) / max(w, h)
                     yield np.array([np.linalg.norm(away), away[0] * np.sign(at[0] - x - w / 2), away[1]])

@@ -4,8 +4,8 @@
 
 Each group is NAME=PATH of a folder of JPEG or PNG images, searched recursively. The first group is the reference. A row
 is one statistic: its median over the images of each group, the reference's 10% to 90% range, and "in" or "out" for
-each other group's median. Lengths are in pixels of an image 1280 pixels wide, to which the images are scaled first,
-except for noise, blocks and quality, which belong to the file as it is.
+each other group's median. Lengths are in pixels of an image 1280 pixels wide, to which the images are scaled first.
+Only noise, blocks and quality are measured on the original file.
 
 | statistic | meaning |
 |---|---|
@@ -14,7 +14,7 @@ except for noise, blocks and quality, which belong to the file as it is.
 | noise | standard deviation within flat patches of 24 pixels below a quarter of the height, after a quadratic fit |
 | noise_lag_1 .. 3 | its autocorrelation at these distances, pixels |
 | flat_blocks | share of JPEG's 8 x 8 blocks in the lower two thirds whose luma is constant, within 1 |
-| quality | JPEG quality by the mean of the luma table, libjpeg's scale; without JPEG files none |
+| quality | JPEG quality by the mean of the luma table, libjpeg's scale; none without JPEG files |
 | road_red, road_blue | red and blue of these patches over their green |
 | glow_half, glow_tenth | distance from a burnt-out lamp at which its glow has fallen to this share |
 | glow_blue | blue minus red around it, 1 to 5 pixels away |
@@ -47,7 +47,7 @@ Floats = NDArray[np.float32]
 
 
 def statistics_of(path: Path) -> dict[str, float]:
-    """Statistics of one image by name; those that it does not allow are missing."""
+    """Compute the statistics of one image by name, without those that it does not allow."""
     try:
         image = Image.open(path)
         tables: Mapping[int, Sequence[int]] = getattr(image, "quantization", {}) or {}
@@ -64,7 +64,7 @@ def statistics_of(path: Path) -> dict[str, float]:
 
 
 def flat_blocks(luma: Floats) -> float:
-    """Share of the 8 x 8 blocks of the lower two thirds, on the image's own grid, whose luma is constant within 1."""
+    """Return the share of 8 x 8 blocks with constant luma (within 1), in the lower two thirds of the image."""
     height, width = (side // 8 for side in luma.shape)
     blocks = luma[: 8 * height, : 8 * width].reshape(height, 8, width, 8)
     spread = np.ptp(blocks, axis=(1, 3))
@@ -72,13 +72,13 @@ def flat_blocks(luma: Floats) -> float:
 
 
 def jpeg_quality(table: Sequence[int]) -> float:
-    """Quality from 1 to 100 by libjpeg's scale, from the mean of a luma quantisation table."""
+    """Return the quality from 1 to 100 on libjpeg's scale, from the mean of a luma quantisation table."""
     scale = 100 * float(np.mean(table)) / LIBJPEG_MEAN
     return float(np.clip((200 - scale) / 2 if scale < 100 else 5000 / scale, 1, 100))
 
 
 def noise_of(rgb: NDArray[np.uint8], luma: Floats) -> dict[str, float]:
-    """Noise, its autocorrelation and the colour of the flattest patches of medium brightness."""
+    """Measure the noise, its autocorrelation and the colour of the flattest patches of medium brightness."""
     fit = _quadratic_residual()
     found = []
     for y in range(luma.shape[0] // 4, luma.shape[0] - PATCH_PX + 1, PATCH_PX):
@@ -89,7 +89,7 @@ def noise_of(rgb: NDArray[np.uint8], luma: Floats) -> dict[str, float]:
                 color = rgb[y : y + PATCH_PX, x : x + PATCH_PX].reshape(-1, 3).mean(axis=0)
                 found.append((float(rest.std()), rest, color))
     found.sort(key=lambda row: row[0])
-    # The very flattest are single-coloured signs and clipped areas.
+    # The flattest ones are single-coloured signs and clipped areas.
     chosen = [row for row in found[len(found) // 20 : len(found) // 5 + 1] if row[0] > 0]
     if not chosen:
         return {}
@@ -103,7 +103,7 @@ def noise_of(rgb: NDArray[np.uint8], luma: Floats) -> dict[str, float]:
 
 
 def _quadratic_residual() -> Floats:
-    """(N, N) matrix that takes the best quadratic surface off a patch of N pixels."""
+    """Return the matrix (N, N) that removes the best quadratic surface from a patch of N pixels."""
     y, x = (np.mgrid[:PATCH_PX, :PATCH_PX].reshape(2, -1) / PATCH_PX) - 0.5
     terms = np.column_stack([np.ones_like(x), x, y, x * y, x * x, y * y])
     return np.asarray(np.eye(len(x)) - terms @ np.linalg.pinv(terms), dtype=np.float32)
@@ -115,7 +115,7 @@ def _autocorrelation(rest: Floats, lag: int) -> float:
 
 
 def glow_of(rgb: NDArray[np.uint8]) -> dict[str, float]:
-    """How the light around burnt-out lamps falls off, and its colour, in an image scaled to `WIDTH_PX`."""
+    """Measure how the light around burnt-out lamps falls off, and its colour, in an image scaled to `WIDTH_PX`."""
     size = (WIDTH_PX, round(rgb.shape[0] * WIDTH_PX / rgb.shape[1]))
     scaled = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
     luma = cv2.cvtColor(scaled, cv2.COLOR_RGB2GRAY).astype(np.float32)
@@ -152,7 +152,7 @@ def glow_of(rgb: NDArray[np.uint8]) -> dict[str, float]:
 
 
 def images_in(folder: Path) -> list[Path]:
-    """The images of a folder and those in it."""
+    """Return the images in a folder and its subfolders."""
     found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in (".jpg", ".jpeg", ".png"))
     if not found:
         raise UserError(f"{folder}: has no JPEG or PNG images")
@@ -160,16 +160,19 @@ def images_in(folder: Path) -> list[Path]:
 
 
 def compare(groups: Mapping[str, Sequence[Mapping[str, float]]]) -> list[list[str]]:
-    """Rows of the table, the header first: statistic, range of the first group, then each group's median."""
-    reference, *others = groups
+    """Build the rows of the table, with a header.
+
+    The columns are the statistic, the range of the first group, then the median of each group.
+    """
+    reference, *compared = groups
     names = list(dict.fromkeys(name for rows in groups.values() for row in rows for name in row))
-    table = [["statistic", f"{reference} 10%", "90%", reference, *(cell for name in others for cell in (name, ""))]]
+    table = [["statistic", f"{reference} 10%", "90%", reference, *(cell for name in compared for cell in (name, ""))]]
     for name in names:
         values = {group: [row[name] for row in rows if name in row] for group, rows in groups.items()}
-        own = values[reference]
-        low, high = np.percentile(own, (10, 90)) if own else (np.nan, np.nan)
-        row = [name, f"{low:.3g}", f"{high:.3g}", f"{np.median(own):.3g}" if own else "-"]
-        for group in others:
+        reference_values = values[reference]
+        low, high = np.percentile(reference_values, (10, 90)) if reference_values else (np.nan, np.nan)
+        row = [name, f"{low:.3g}", f"{high:.3g}", f"{np.median(reference_values):.3g}" if reference_values else "-"]
+        for group in compared:
             middle = float(np.median(values[group])) if values[group] else np.nan
             row += [f"{middle:.3g}", "in" if low <= middle <= high else "out"]
         table.append(row)

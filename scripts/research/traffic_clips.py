@@ -4,14 +4,14 @@
     python scripts/research/traffic_clips.py detect clips --checkpoint NEW.safetensors --gpus 0,1,2,3
     python scripts/research/traffic_scores.py counts clips                                       # a CPU
 
-A clip's folder has the video, its labels, truth.npz with the place of each road user in each frame (also where the
-image does not show it), site.toml with the gates, and the detections. Gates are placed by a rule that knows the road
-network and the camera only: one lies across each arm of a junction, 10 to 40 m from it, or across a road without a
-junction so near; wholly inside the image, with some road before and behind.
+A clip's folder has the video, its labels, truth.npz with the position of each road user in each frame (including
+invisible ones), site.toml with the gates, and the detections. Gates are placed by a rule that uses only the road
+network and the camera: one across each arm of a junction, 10 to 40 m from it, or across a road without a junction
+that near; wholly inside the image, with some road before and behind.
 
 The clips are four sites by day, at night and in rain, and one of them also at 25 frames per second. `--only` selects
-clips by name, separated by commas; `--seconds` and `--size` make smaller ones. Finished work is not repeated. `truth`
-is what `make` runs for each clip: it simulates what `skope gen video` simulates with the same options.
+clips by name, separated by commas; `--seconds` and `--size` make smaller ones. Finished work is not repeated. `make`
+runs `truth` for each clip; it simulates the same traffic as `skope gen video` with the same options.
 
 `road33` was trained on t03_circle_mast, and on none of the others (split extra).
 """
@@ -43,7 +43,7 @@ from skope.gen.pipeline.config import from_preset
 from skope.gen.pipeline.write_footage import plan_of
 from skope.gen.scene.recording import Recording, RecordingPlan, vehicle_body
 from skope.gen.simulation.simulate import simulate
-from skope.gen.towns.road_graph import RoadGraph, beside, legs
+from skope.gen.towns.road_graph import RoadGraph, beside, edges_at
 from skope.gen.towns.sites import site
 from skope.schema import VEHICLE_CATEGORY
 from skope.site.gates_zones_lanes import Gate
@@ -71,7 +71,7 @@ class Clip:
 
     @property
     def name(self) -> str:
-        """The name of its folder."""
+        """Name of the clip's folder."""
         return f"{self.site}_{self.light}" + ("" if self.fps == 10 else f"_{self.fps:g}")
 
 
@@ -82,7 +82,7 @@ SITES: Final = {
     "t06_plaza_opening": "the opening of a median before a plaza",
 }
 SEEDS: Final = {"t03_circle_mast": 1}
-"""Seeds other than 0: with 0 the roundabout is one jam, and no vehicle crosses a gate in the image."""
+"""Seeds other than 0; with 0 the roundabout is one jam, and no vehicle crosses a gate in the image."""
 LIGHTS: Final = {"day": ("clear", "noon"), "night": ("clear", "night"), "rain": ("rain", "noon")}
 CLIPS: Final = (
     Clip("t05_third_median", "day", fps=25.0, seconds=120.0),  # the longest one first
@@ -92,7 +92,7 @@ CHECKS: Final = (
     *(Clip("t06_willow_turn", "day"), Clip("t02_elm_corner", "day")),
     *(Clip("t06_harlan_long", "night"), Clip("t02_cedar_pole", "rain")),
 )
-"""Clips of other sites, to check what is fitted on `CLIPS` (skope/traffic/event_probability.py)."""
+"""Clips of other sites, to check the rates that are fitted on `CLIPS` (skope/traffic/event_probability.py)."""
 TRUTH: Final = "truth.npz"
 FOV_DEG: Final = 80.0
 STILL_M: Final = 2.0
@@ -102,7 +102,7 @@ STILL_M: Final = 2.0
 def plan_as_video(
     name: str, *, seconds: float, fps: float, size: str, weather: str, time_of_day: str, seed: int
 ) -> RecordingPlan:
-    """The plan that `skope gen video` makes with --road-users."""
+    """Return the plan that `skope gen video` makes with --road-users."""
     asked = from_preset(
         "demo",
         seed=seed,
@@ -120,9 +120,9 @@ def plan_as_video(
 
 
 def write_truth(path: Path, recording: Recording) -> None:
-    """Write the place of each road user in each frame, as in labels: under the middle of its box."""
+    """Write the position of each road user in each frame, as in labels: below the middle of its box."""
     rows = []
-    who: dict[int, tuple[str, str, float, float, bool]] = {}
+    road_users: dict[int, tuple[str, str, float, float, bool]] = {}
     for frame in range(len(recording)):
         moment = recording.moment(frame)
         for i, recorded in enumerate(moment.vehicles):
@@ -137,7 +137,7 @@ def write_truth(path: Path, recording: Recording) -> None:
                 category = kind = CATEGORY_OF[recorded.model]
                 low, high = bystander.build_bystander(recorded.model, recorded.shape).box
                 center, size = T[:3, :3] @ ((low + high) / 2) + T[:3, 3], high - low
-            who.setdefault(recorded.track_id, (category, kind, float(size[0]), float(size[1]), recorded.parked))
+            road_users.setdefault(recorded.track_id, (category, kind, float(size[0]), float(size[1]), recorded.parked))
             yaw = math.atan2(T[1, 0], T[0, 0])
             rows.append((frame, recorded.track_id, *center[:2], yaw, *moment.velocity[i][:2]))
     table = np.array(rows, dtype=np.float64).reshape(-1, 7)
@@ -148,7 +148,7 @@ def write_truth(path: Path, recording: Recording) -> None:
             frame=table[:, 0].astype(np.int32),
             track=table[:, 1].astype(np.int32),
             state=table[:, 2:].astype(np.float32),
-            who=np.array([(str(number), *map(str, row)) for number, row in sorted(who.items())]),
+            who=np.array([(str(number), *map(str, row)) for number, row in sorted(road_users.items())]),
         )
 
 
@@ -162,12 +162,16 @@ class Truth:
 
 
 def read_truth(folder: Path) -> Truth:
-    """Read truth.npz; places are exact, so their covariances are zero."""
+    """Read truth.npz; its positions are exact, so their covariances are zero."""
     with np.load(folder / TRUTH, allow_pickle=False) as file:
         times, frame, track = file["times_s"], file["frame"], file["track"]
-        state, who = file["state"].astype(np.float64), file["who"]
-    found = [_trajectory(row, times, frame[own], state[own]) for row in who for own in [track == int(row[0])]]
-    return Truth(times, [one for one in found if len(one.times_s) > 1])
+        state, road_users = file["state"].astype(np.float64), file["who"]
+    found = [
+        _trajectory(row, times, frame[of_track], state[of_track])
+        for row in road_users
+        for of_track in [track == int(row[0])]
+    ]
+    return Truth(times, [trajectory for trajectory in found if len(trajectory.times_s) > 1])
 
 
 def _trajectory(row: Sequence[str], times: Array, frame: Array, state: Array) -> Track:
@@ -193,41 +197,41 @@ def _trajectory(row: Sequence[str], times: Array, frame: Array, state: Array) ->
 
 
 def check_labels(truth: Truth, document: Mapping[str, Any]) -> float:
-    """Largest distance of labels from the true places, metres. Raises UserError where they are of other traffic.
+    """Return the largest distance of labels from the true positions, metres.
 
-    `document` is the file that `skope gen video` wrote.
+    Raises UserError if the labels are of other traffic. `document` is the file that `skope gen video` wrote.
     """
     at = {
-        (one.number, round(float(time_s), 4)): place
-        for one in truth.trajectories
-        for time_s, place in zip(one.times_s, one.xy, strict=True)
+        (trajectory.number, round(float(time_s), 4)): position
+        for trajectory in truth.trajectories
+        for time_s, position in zip(trajectory.times_s, trajectory.xy, strict=True)
     }
     times = {image["id"]: round(float(image["time_s"]), 4) for image in document["images"]}
     places = [at.get((row["track_id"], times[row["image_id"]])) for row in document["annotations"]]
     pairs = zip(places, document["annotations"], strict=True)
     worst = max((math.dist(p, row["box_3d"]["center"][:2]) for p, row in pairs if p is not None), default=0.0)
-    missing = sum(place is None for place in places)
+    missing = sum(position is None for position in places)
     if worst > 0.05 or missing > 0.01 * len(places):
-        raise UserError(f"the truth is of other traffic than the labels: {worst:.2f} m off, {missing} are not in it")
+        raise UserError(f"truth and labels show different traffic: {worst:.2f} m apart, {missing} labels without truth")
     return worst
 
 
 def plain_counts(truth: Truth, gates: Sequence[Gate]) -> Mapping[tuple[str, int], list[tuple[int, float]]]:
-    """Crossings of road users' middles over gates: (gate, direction) -> numbers and times.
+    """Find the crossings of road users' middles over gates: (gate, direction) -> numbers and times.
 
-    A crossing is where the step from one moment to the next cuts the line. Without hysteresis, it checks what
-    `skope.traffic` makes of the same places.
+    A crossing is a step between two moments that cuts the line. This has no hysteresis and checks what `skope.traffic`
+    computes from the same positions.
     """
     out: dict[tuple[str, int], list[tuple[int, float]]] = {(gate.name, k): [] for gate in gates for k in (0, 1)}
-    for one in truth.trajectories:
-        for gate in gates if "never_moved" not in one.flags else ():
-            signed, along = signed_distances(gate, one.xy)
+    for trajectory in truth.trajectories:
+        for gate in gates if "never_moved" not in trajectory.flags else ():
+            signed, along = signed_distances(gate, trajectory.xy)
             left = signed > 0
             for i in np.flatnonzero(left[1:] != left[:-1]):
                 share = signed[i] / (signed[i] - signed[i + 1])
                 if 0 <= along[i] + share * (along[i + 1] - along[i]) < math.dist(*gate.line):
-                    time_s = float(one.times_s[i] + share * (one.times_s[i + 1] - one.times_s[i]))
-                    out[gate.name, 0 if left[i] else 1].append((one.number, time_s))
+                    time_s = float(trajectory.times_s[i] + share * (trajectory.times_s[i + 1] - trajectory.times_s[i]))
+                    out[gate.name, 0 if left[i] else 1].append((trajectory.number, time_s))
     return out
 
 
@@ -244,46 +248,48 @@ MARGIN: Final = 0.03
 """Least distance from the edge of the image, as a share of its size."""
 FARTHEST_M: Final = 80.0
 USUAL_M: Final = 35.0
-"""Preferred distance of a gate from the camera where no junction is near."""
+"""Preferred distance of a gate from the camera if no junction is near."""
 
 
 @dataclass(frozen=True)
-class _Place:
-    """A place where a gate may lie."""
+class _GatePosition:
+    """A possible position of a gate."""
 
     line: Array
     """(2, 2) first and second end; traffic towards the junction comes from its left."""
     from_junction: float
-    """Metres along the road; infinite where there is none."""
+    """Metres along the road; infinite without a junction."""
     from_camera: float
 
 
 def gates_of(graph: RoadGraph, camera: Camera, level: float) -> list[Gate]:
-    """Gates across the arms that a camera sees, by the rule above."""
+    """Place gates across the arms that a camera sees, by the rule above."""
     arms: dict[frozenset[str], list[Any]] = {}
     for edge in graph.edges:
         arms.setdefault(frozenset((edge.getFromNode().getID(), edge.getToNode().getID())), []).append(edge)
     chosen = []
     for edges in arms.values():
-        places = [place for place in _places(graph, edges, camera.position) if _seen(place, camera, level)]
-        near = [place for place in places if FROM_JUNCTION_M[0] <= place.from_junction <= FROM_JUNCTION_M[1]]
+        places = [
+            position for position in _gate_positions(graph, edges, camera.position) if _seen(position, camera, level)
+        ]
+        near = [position for position in places if FROM_JUNCTION_M[0] <= position.from_junction <= FROM_JUNCTION_M[1]]
         if near:
-            chosen.append(min(near, key=lambda one: (one.from_junction, one.from_camera)))
+            chosen.append(min(near, key=lambda position: (position.from_junction, position.from_camera)))
         elif places:
-            chosen.append(min(places, key=lambda one: abs(one.from_camera - USUAL_M)))
-    chosen.sort(key=lambda one: one.from_camera)
+            chosen.append(min(places, key=lambda position: abs(position.from_camera - USUAL_M)))
+    chosen.sort(key=lambda position: position.from_camera)
     return [
         Gate(
             name=f"arm{number}",
-            line=tuple((round(float(x), 2), round(float(y), 2)) for x, y in place.line),
+            line=tuple((round(float(x), 2), round(float(y), 2)) for x, y in position.line),
             directions=("in", "out"),
         )
-        for number, place in enumerate(chosen, start=1)
+        for number, position in enumerate(chosen, start=1)
     ]
 
 
-def _places(graph: RoadGraph, edges: Sequence[Any], eye: Array) -> Iterator[_Place]:
-    """Places along an arm, from either of its ends; across all its lanes."""
+def _gate_positions(graph: RoadGraph, edges: Sequence[Any], eye: Array) -> Iterator[_GatePosition]:
+    """Yield the possible gates along an arm from both of its ends, each across all lanes."""
     lanes = np.concatenate([graph.lane_points[str(edge.getID())][:, :2] for edge in edges])
     half = max(lane.getWidth() for edge in edges for lane in edge.getLanes()) / 2
     edge = edges[0]
@@ -302,28 +308,30 @@ def _places(graph: RoadGraph, edges: Sequence[Any], eye: Array) -> Iterator[_Pla
             # Traffic along `ahead` has the line's first end on its right, and so comes from the line's left.
             ends = (low, high) if sign > 0 else (high, low)
             line = np.array([at + left * end for end in ends])
-            yield _Place(line, float(away) if _is_junction(node) else math.inf, math.dist(line.mean(axis=0), eye[:2]))
+            yield _GatePosition(
+                line, float(away) if _is_junction(node) else math.inf, math.dist(line.mean(axis=0), eye[:2])
+            )
 
 
 def _is_junction(node: Any) -> bool:
-    """Whether three or more arms meet at a node."""
-    others = {n.getID() for edge in legs(node) for n in (edge.getFromNode(), edge.getToNode())} - {node.getID()}
-    return len(others) > 2
+    """Return whether three or more arms meet at a node."""
+    neighbours = {n.getID() for edge in edges_at(node) for n in (edge.getFromNode(), edge.getToNode())} - {node.getID()}
+    return len(neighbours) > 2
 
 
-def _seen(place: _Place, camera: Camera, level: float) -> bool:
-    along = place.line[1] - place.line[0]
+def _seen(position: _GatePosition, camera: Camera, level: float) -> bool:
+    along = position.line[1] - position.line[0]
     ahead = np.array([along[1], -along[0]]) / np.linalg.norm(along)
     points = [
         [*(end + ahead * shift), level + height]
-        for end in place.line
+        for end in position.line
         for shift in (-BEFORE_M, BEFORE_M)
         for height in (0.0, HIGHEST_M)
     ]
     pixels, _, valid = camera.project(np.array(points))
     size = np.array([camera.width, camera.height])
     inside = ((pixels > MARGIN * size) & (pixels < (1 - MARGIN) * size)).all()
-    return bool(valid.all() and inside and place.from_camera < FARTHEST_M)
+    return bool(valid.all() and inside and position.from_camera < FARTHEST_M)
 
 
 def write_site(path: Path, gates: Sequence[Gate]) -> None:
@@ -336,7 +344,7 @@ def write_site(path: Path, gates: Sequence[Gate]) -> None:
 
 
 def road_of(name: str, size: str) -> tuple[RoadGraph, Camera, float]:
-    """Network, camera and height of the road of a site; `size` of the image as 1280x720."""
+    """Return the network, camera and road height of a site; `size` of the image as 1280x720."""
     width, height = map(int, size.split("x"))
     here = site(name)
     graph, camera = RoadGraph.of(here.town), here.camera((width, height), FOV_DEG)
@@ -345,39 +353,41 @@ def road_of(name: str, size: str) -> tuple[RoadGraph, Camera, float]:
 
 
 def chosen(only: str) -> list[Clip]:
-    """The clips of these names, `CHECKS` for "checks", `CLIPS` without names."""
+    """Return the clips with these names, `CHECKS` for "checks", `CLIPS` without names."""
     if only == "checks":
         return list(CHECKS)
     known = {clip.name: clip for clip in (*CLIPS, *CHECKS)}
     wrong = [name for name in only.split(",") if only and name not in known]
     if wrong:
-        sys.exit(f"--only: {wrong[0]} is none of {', '.join(known)}")
+        sys.exit(f"--only: {wrong[0]} is not one of {', '.join(known)}")
     return [known[name] for name in only.split(",")] if only else list(CLIPS)
 
 
 def make(options: argparse.Namespace) -> None:
-    """Make all clips at the same time, each with its truth and its gates."""
+    """Make all clips in parallel, each with its truth and its gates."""
     clips = chosen(options.only)
     with ThreadPoolExecutor(len(clips)) as threads:
-        made = list(threads.map(lambda clip: make_one(clip, options), clips))
+        made = list(threads.map(lambda clip: make_clip(clip, options), clips))
     if not all(made):
-        sys.exit(f"not made: {', '.join(clip.name for clip, there in zip(clips, made, strict=True) if not there)}")
+        sys.exit(
+            f"not made: {', '.join(clip.name for clip, was_made in zip(clips, made, strict=True) if not was_made)}"
+        )
 
 
-def make_one(clip: Clip, options: argparse.Namespace) -> bool:
-    """Make a clip unless it is there; returns whether it is there now."""
+def make_clip(clip: Clip, options: argparse.Namespace) -> bool:
+    """Make a clip unless it exists; returns whether it exists now."""
     folder = options.out / clip.name
     asked = asked_for(clip, options)
     if (folder / CLIP).is_file():
         if read_json(folder / CLIP) == asked:
             return True
-        print(f"{folder}: holds another clip of this name; choose another --out")
+        print(f"{folder}: contains a different clip of this name; choose another --out")
         return False
     same = [f"--{key.replace('_', '-')}={asked[key]}" for key in ("seconds", "fps", "size", "weather", "time_of_day")]
     same += ["--seed", str(asked["seed"]), "--out", str(folder)]
     video = ["-m", "skope", "gen", "video", clip.site, "--road-users", "--fov", f"{FOV_DEG:g}", "-q", *same]
     folder.mkdir(parents=True, exist_ok=True)
-    few = {**os.environ, "OMP_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"}  # many run side by side
+    few = {**os.environ, "OMP_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"}  # many run in parallel
     with (folder / "make.log").open("wb") as log:
         started = [
             subprocess.Popen(["nice", "-n", "10", sys.executable, *words], stdout=log, stderr=log, env=few)
@@ -395,7 +405,7 @@ def make_one(clip: Clip, options: argparse.Namespace) -> bool:
 
 
 def asked_for(clip: Clip, options: argparse.Namespace) -> dict[str, Any]:
-    """The options that a clip is made with."""
+    """Return the options that a clip is made with."""
     weather, time_of_day = LIGHTS[clip.light]
     return {
         "name": clip.name,
@@ -417,7 +427,7 @@ def detect(options: argparse.Namespace) -> None:
     for gpu in numbers * PER_GPU:
         gpus.put(gpu)
 
-    def detect_one(clip: Clip) -> bool:
+    def detect_clip(clip: Clip) -> bool:
         gpu, folder = gpus.get(), options.folder / clip.name
         words = ["eval", "predict", str(folder / f"{clip.site}.mp4"), "--checkpoint", str(options.checkpoint)]
         with (folder / "detect.log").open("wb") as log:
@@ -435,13 +445,13 @@ def detect(options: argparse.Namespace) -> None:
     clips = [clip for clip in chosen(options.only) if (options.folder / clip.name / CLIP).is_file()]
     new = [clip for clip in clips if not (options.folder / clip.name / SEEN / PREDICTIONS_FILE).is_file()]
     with ThreadPoolExecutor(PER_GPU * len(numbers)) as threads:
-        done = list(threads.map(detect_one, new))
+        done = list(threads.map(detect_clip, new))
     if not clips or not all(done):
         sys.exit(f"{options.folder}: not all clips are detected")
 
 
 def simulate_truth(options: argparse.Namespace) -> None:
-    """Simulate a clip, and write its truth."""
+    """Simulate a clip and write its truth."""
     options.out.mkdir(parents=True, exist_ok=True)
     asked = {name: getattr(options, name) for name in ("seconds", "fps", "size", "weather", "time_of_day", "seed")}
     write_truth(options.out / TRUTH, simulate(plan_as_video(options.site, **asked)))
@@ -452,7 +462,7 @@ def main() -> None:
     commands = parser.add_subparsers(required=True)
     making = commands.add_parser("make", help="make the clips")
     making.add_argument("--out", type=Path, required=True)
-    making.add_argument("--seconds", type=float, default=0.0, help="length of each; default: its own")
+    making.add_argument("--seconds", type=float, default=0.0, help="length of each clip; 0: its own")
     making.set_defaults(run=make)
     detecting = commands.add_parser("detect", help="run the detector")
     detecting.add_argument("folder", type=Path)

@@ -4,11 +4,11 @@
     python scripts/research/traffic_hours.py --hours 0.8 --kills 0 --recordings 8 --out recordings
 
 It makes tracks of a crossroads with signals, as `skope eval track` writes them, and measures them twice. The second
-time the command is killed (SIGKILL) at random moments, also while it writes, and resumed. Both folders must hold the
-same bytes at the end.
+time the command is killed (SIGKILL) at random moments, also while it writes, and resumed. In the end both folders must
+hold the same bytes.
 
-With `--recordings` the same tracks are also measured as several recordings that follow each other, like those of a
-camera that begins a file each hour. Vehicles on the road at a seam are left out of both or, with `--cut`, cut in two.
+With `--recordings` the same tracks are also measured as several consecutive recordings, like those of a camera that
+begins a file each hour. Vehicles on the road at a boundary are left out of both or, with `--cut`, cut in two.
 """
 
 import argparse
@@ -49,11 +49,11 @@ SIZES: Final = {"car": (4.4, 1.8), "van": (5.4, 2.0), "lorry": (9.0, 2.5), "bus"
 SHARES: Final = (0.75, 0.12, 0.09, 0.04)
 BEGINS: Final = datetime(2026, 11, 26, 5, tzinfo=UTC)
 CLOCKS_CHANGE: Final = datetime.fromisoformat("2026-10-25T00:30:00+02:00")
-"""An hour and a half before the hour that comes twice."""
+"""One and a half hours before the hour that occurs twice."""
 GAPS: Final = ((0.3, 0.32), (0.55, 0.6))
-"""Shares of the footage from and to which there are no frames."""
+"""Parts of the footage without frames, as shares of its length."""
 MOVED_FROM: Final = 0.9
-"""Share of it from which the camera looks elsewhere."""
+"""Share of the footage after which the camera looks elsewhere."""
 SITE: Final = """time_zone = "Europe/Berlin"
 
 [camera]
@@ -100,7 +100,7 @@ width = 3.5
 def make_tracks(
     folder: Path, hours: float, fps: float, seed: int, clear_s: Sequence[float], *, broken: bool
 ) -> tuple[int, int]:
-    """Write a folder of tracks, none at the times `clear_s`; returns how many vehicles and rows it has.
+    """Write a folder of tracks, without vehicles at the times `clear_s`; returns the number of vehicles and rows.
 
     If it is `broken`, the footage begins before clocks are changed, has two gaps, and the camera is moved near the end.
     """
@@ -142,7 +142,7 @@ def write_footage(folder: Path, times: Array, start_time: datetime, moved_s: flo
 
 
 def split_tracks(whole: Path, folders: Sequence[Path], part_s: float, fps: float) -> None:
-    """Write the tracks of a folder as recordings of `part_s` seconds each that follow each other."""
+    """Write the tracks of a folder as consecutive recordings of `part_s` seconds each."""
     with contextlib.ExitStack() as files:
         writers = []
         for k, folder in enumerate(folders):
@@ -157,7 +157,7 @@ def split_tracks(whole: Path, folders: Sequence[Path], part_s: float, fps: float
 
 
 def arrivals(rng: np.random.Generator, seconds: float) -> Iterator[tuple[float, int]]:
-    """When vehicles come to the crossroads on which arm, in order: those of one green one behind the other."""
+    """Yield the arrival times of vehicles and their arms, in order; vehicles of one green follow each other."""
     mean = PER_HOUR / 3600 * GREEN_S / 2
     for phase in range(int(seconds // GREEN_S)):
         came = []
@@ -169,15 +169,15 @@ def arrivals(rng: np.random.Generator, seconds: float) -> Iterator[tuple[float, 
 
 
 def drive(rng: np.random.Generator, number: int, begin_s: float, arm: int, fps: float) -> Iterator[dict[str, str]]:
-    """The rows of a vehicle that drives straight on or turns right, with errors of some centimetres."""
+    """Yield the rows of a vehicle that drives straight on or turns right, with errors of some centimetres."""
     name = str(rng.choice(list(SIZES), p=SHARES))
     speed = float(rng.normal(12, 0.3))
     way = straight_on(speed, fps) if rng.random() < 0.8 else to_the_right(speed, fps)
     turn = np.pi / 2 * arm
     cosine, sine = math.cos(turn), math.sin(turn)
     way = way @ np.array([[cosine, sine], [-sine, cosine]])
-    place = way + np.cumsum(rng.normal(0, 0.004, way.shape), axis=0)
-    velocity = np.gradient(place, 1 / fps, axis=0)
+    positions = way + np.cumsum(rng.normal(0, 0.004, way.shape), axis=0)
+    velocity = np.gradient(positions, 1 / fps, axis=0)
     heading = np.degrees(np.arctan2(velocity[:, 1], velocity[:, 0]))
     length, width = SIZES[name]
     first = math.ceil(begin_s * fps)
@@ -192,7 +192,7 @@ def drive(rng: np.random.Generator, number: int, begin_s: float, arm: int, fps: 
             "time_s": f"{(first + i) / fps:.4f}",
             "detected": "1",
             "located": str(int(i % 5 != 3)),
-            **{axis: f"{v:.3f}" for axis, v in zip("xy", place[i], strict=True)},
+            **{axis: f"{v:.3f}" for axis, v in zip("xy", positions[i], strict=True)},
             "heading_deg": f"{heading[i]:.2f}",
             **{axis: f"{v:.3f}" for axis, v in zip(("vx", "vy"), velocity[i], strict=True)},
             "ax": "",
@@ -209,13 +209,13 @@ def drive(rng: np.random.Generator, number: int, begin_s: float, arm: int, fps: 
 
 
 def straight_on(speed: float, fps: float) -> Array:
-    """(M, 2) from the east to the west, on the right."""
+    """Return the path (M, 2) from the east to the west, on the right."""
     x = np.arange(HALF_M, -HALF_M, -speed / fps)
     return np.stack([x, np.full_like(x, LANE_M)], axis=1)
 
 
 def to_the_right(speed: float, fps: float) -> Array:
-    """(M, 2) from the east to the north."""
+    """Return the path (M, 2) from the east to the north."""
     radius, end = 6.0, LANE_M + 6.0
     length = 2 * (HALF_M - end) + radius * np.pi / 2
     at = np.arange(0, length, speed / fps)
@@ -246,14 +246,14 @@ def started(tracks: Sequence[Path], site: Path, out: Path) -> subprocess.Popen[b
 
 
 def finished(process: subprocess.Popen[bytes]) -> tuple[int, float]:
-    """Exit code and peak memory, MB."""
+    """Wait for a process; returns its exit code and peak memory, MB."""
     _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     return process.returncode, used.ru_maxrss / 1024
 
 
 def killed(process: subprocess.Popen[bytes], out: Path, draw: random.Random, seconds: float) -> str:
-    """Kill a run at a moment: after a drawn time, or as soon as a drawn number of files are there; says when."""
+    """Kill a run after a random time, or when a random number of files has been begun; returns a description."""
     begun = time.monotonic()
     files = len(list(out.rglob("*")))
     if draw.random() < 0.5:
@@ -261,7 +261,7 @@ def killed(process: subprocess.Popen[bytes], out: Path, draw: random.Random, sec
         while time.monotonic() - begun < after and process.poll() is None:
             time.sleep(0.002)
     else:
-        # What is being written bears another name: a file more, or one with a dot.
+        # Files that are being written have other names, with `.part` in them.
         wanted = draw.randint(1, 12)
         seen = set[str]()
         while len(seen) < wanted and process.poll() is None:
@@ -270,8 +270,8 @@ def killed(process: subprocess.Popen[bytes], out: Path, draw: random.Random, sec
     process.send_signal(signal.SIGKILL)
     code = finished(process)[0] if process.returncode is None else process.returncode
     left = len(list(out.rglob(".*.part*")))
-    there = "finished before" if code == 0 else f"killed after {time.monotonic() - begun:.1f} s"
-    return f"{there}; files {files} -> {len(list(out.rglob('*')))}, {left} half-written"
+    outcome = "finished before" if code == 0 else f"killed after {time.monotonic() - begun:.1f} s"
+    return f"{outcome}; files {files} -> {len(list(out.rglob('*')))}, {left} half-written"
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -279,7 +279,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def measured(tracks: Sequence[Path], site: Path, out: Path) -> tuple[dict[str, bytes], float, str]:
-    """What a report holds, the seconds that it took, and cells of a table: seconds, memory, sizes."""
+    """Measure a report: its contents, its seconds, and cells of a table with seconds, memory and sizes."""
     begun = time.monotonic()
     code, peak = finished(started(tracks, site, out))
     seconds = time.monotonic() - begun
@@ -287,13 +287,13 @@ def measured(tracks: Sequence[Path], site: Path, out: Path) -> tuple[dict[str, b
         sys.exit(f"skope eval traffic ended with {code}")
     found = contents(out)
     sizes = {name: len(data) / 1e6 for name, data in found.items()}
-    largest = ", ".join(f"{name} {size:.2f}" for name, size in sorted(sizes.items(), key=lambda one: -one[1])[:4])
+    largest = ", ".join(f"{name} {size:.2f}" for name, size in sorted(sizes.items(), key=lambda item: -item[1])[:4])
     read = sum(path.stat().st_size for folder in tracks for path in folder.iterdir()) / 1e6
     return found, seconds, f"{read:.1f} | {seconds:.1f} | {peak:.0f} | {sum(sizes.values()):.1f} | {largest}"
 
 
 def counted(report: dict[str, bytes]) -> dict[str, int]:
-    """The counts of a report's gates and directions."""
+    """Return the counts of a report by gate and direction."""
     rows = csv.DictReader(report["counts.csv"].decode("utf-8-sig").splitlines())
     found = Counter[str]()
     for row in rows:
@@ -303,15 +303,17 @@ def counted(report: dict[str, bytes]) -> dict[str, int]:
 
 
 def compare_recordings(options: argparse.Namespace, whole: dict[str, bytes], site: Path) -> None:
-    """Measure the tracks as several recordings, and print what differs from the unbroken one."""
+    """Measure the tracks as several recordings, and print the differences from the unbroken one."""
     folders = [options.out / "recordings" / f"{k:02}" for k in range(options.recordings)]
     split_tracks(options.out / "tracks", folders, options.hours * 3600 / options.recordings, options.fps)
     parts, _, cells = measured(folders, site, options.out / "of_recordings")
     print(f"| {options.recordings} recordings | | | {cells} |", flush=True)
     for name in ("counts.csv", "turning_movements.csv", "speeds.csv", "delays.csv", "occupancy.csv", "headways.csv"):
-        one, other = (report[name].decode().splitlines() for report in (whole, parts))
+        unbroken, joined = (report[name].decode().splitlines() for report in (whole, parts))
         same = (
-            "the same bytes" if one == other else f"{len(one)} and {len(other)} lines, {len({*one} ^ {*other})} differ"
+            "the same bytes"
+            if unbroken == joined
+            else f"{len(unbroken)} and {len(joined)} lines, {len({*unbroken} ^ {*joined})} differ"
         )
         print(f"{name}: {same}")
     print("counts, unbroken:", counted(whole))
@@ -320,12 +322,12 @@ def compare_recordings(options: argparse.Namespace, whole: dict[str, bytes], sit
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--hours", type=float, default=1.0, help="of footage, 8 for a working day")
+    parser.add_argument("--hours", type=float, default=1.0, help="hours of footage, 8 for a working day")
     parser.add_argument("--fps", type=float, default=10.0)
-    parser.add_argument("--kills", type=int, default=5, help="how often the second run is killed; 0: there is none")
-    parser.add_argument("--recordings", type=int, default=1, help="also measure it as this many recordings")
+    parser.add_argument("--kills", type=int, default=5, help="how often the second run is killed; 0: no second run")
+    parser.add_argument("--recordings", type=int, default=1, help="also measure the tracks as this many recordings")
     parser.add_argument("--cut", action="store_true", help="keep vehicles that are on the road when a recording ends")
-    parser.add_argument("--broken", action="store_true", help="with gaps, clocks that change, a camera that is moved")
+    parser.add_argument("--broken", action="store_true", help="add gaps, a change of clocks and a moved camera")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, required=True, help="a new folder")
     options = parser.parse_args()
@@ -351,7 +353,7 @@ def main() -> None:
     again = contents(out / "killed")
     different = sorted(name for name in whole.keys() | again.keys() if whole.get(name) != again.get(name))
     if code or different:
-        sys.exit(f"begun again it ended with {code}; different: {', '.join(different) or 'nothing'}")
+        sys.exit(f"the resumed run ended with {code}; different: {', '.join(different) or 'nothing'}")
     print(f"{len(whole)} files: the same bytes")
     shutil.rmtree(out / "killed")
 

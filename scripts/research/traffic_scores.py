@@ -1,12 +1,13 @@
-"""What `skope eval traffic` reports of generated clips against the truth: counts, speeds, conflicts, lengths.
+"""Reports of `skope eval traffic` on generated clips against the truth: counts, speeds, conflicts, lengths.
 
     python scripts/research/traffic_scores.py counts clips                        # clips of traffic_clips.py
     python scripts/research/traffic_scores.py counts clips --true-keypoints       # labels with 2 px of noise
     python scripts/research/traffic_scores.py lengths clips
 
-`counts`: the truth is the simulation's exact places, put through the same measures, and a plain count of where they
-cut the gates. A true crossing counts if the labels show at least one pixel of the road user around it; road users
-that are hidden there, or in the whole clip, are listed apart. results.json has everything that is printed.
+`counts`: the truth is measured from the exact positions of the simulation with the same functions; a plain count of
+where they cut the gates checks it. A true crossing counts if the labels show at least one pixel of the road user around
+it; road users that are hidden there, or in the whole clip, are listed separately. results.json has everything that is
+printed.
 
 `lengths` fits the errors of vehicle lengths in skope/traffic/length_bins.py. A track belongs to the true vehicle that
 is nearest in most of its frames. For each class of tracks it prints the errors as two normal distributions and a
@@ -57,11 +58,11 @@ GROUND: Final = "0"
 AT_GATE_S: Final = 0.5
 """Time before and after a crossing in which visibility is required, seconds."""
 AROUND_S: Final = 2.0
-"""Time around a crossing in which detections and tracks are looked for, seconds."""
+"""Time around a crossing in which detections and tracks are searched, seconds."""
 SAME_S: Final = 2.0
 """Largest time between a true and a counted crossing of the same vehicle, seconds."""
 NEAR_S, NEAR_M = 0.7, 2.5
-"""The same for a vehicle without overlapping boxes, in time and place."""
+"""The same for a vehicle without overlapping boxes, in time and distance."""
 SCORE: Final = 0.5
 """Detections above this are tracked."""
 Times = Mapping[int, list[float]]
@@ -72,13 +73,13 @@ def run_skope(*words: str) -> None:
 
 
 def reported(folder: Path, true_keypoints: bool) -> Path:
-    """Track the clip and measure its traffic with skope's commands, unless that is done; returns the folder of both."""
+    """Track the clip and measure its traffic with skope's commands, unless this is done; returns the folder of both."""
     out = folder / ("true" if true_keypoints else "found")
     if not (out / "tracks" / FOOTAGE_FILE).is_file():
         camera = ["--camera", str(folder / LABELS)]
         noisy = ["--annotations", str(folder / LABELS), "--noise", NOISE_PX]
-        what = noisy if true_keypoints else [str(folder / SEEN), *camera]
-        run_skope("eval", "track", *what, "--ground", GROUND, "--out", str(out / "tracks"))
+        source = noisy if true_keypoints else [str(folder / SEEN), *camera]
+        run_skope("eval", "track", *source, "--ground", GROUND, "--out", str(out / "tracks"))
     if not (out / "report" / SUMMARY_FILE).is_file():
         run_skope("eval", "traffic", str(out / "tracks"), "--site", str(folder / SITE), "--out", str(out / "report"))
     return out
@@ -86,7 +87,7 @@ def reported(folder: Path, true_keypoints: bool) -> Path:
 
 @dataclass(frozen=True)
 class Owners:
-    """The road users whose boxes each track has."""
+    """The road users whose boxes overlap those of each track."""
 
     seen: Mapping[int, list[tuple[float, int]]]
     """Times and numbers in the labels, by track."""
@@ -95,14 +96,14 @@ class Owners:
         return [vote for number in (trajectory.number, *trajectory.joined) for vote in self.seen.get(number, ())]
 
     def of(self, trajectory: Track, time_s: float) -> int | None:
-        """The road user of a trajectory around a time; None without one in the labels."""
+        """Return the road user of a trajectory around a time; None if the labels have none."""
         votes = self._votes(trajectory)
         near = [vote for vote in votes if abs(vote[0] - time_s) < AROUND_S]
-        return _most(who for _, who in near or votes)
+        return _most(number for _, number in near or votes)
 
     def whole(self, trajectory: Track) -> int | None:
-        """The road user of a trajectory in the whole clip."""
-        return _most(who for _, who in self._votes(trajectory))
+        """Return the road user of a trajectory in the whole clip."""
+        return _most(number for _, number in self._votes(trajectory))
 
 
 def _most(numbers: Iterable[int]) -> int | None:
@@ -111,7 +112,7 @@ def _most(numbers: Iterable[int]) -> int | None:
 
 
 def labels_of(file: AnnotationFile) -> list[list[Labelled]]:
-    """The labels of each image, ignored ones and all road users too."""
+    """Return the labels of each image, including ignored ones and all road users."""
     out: dict[int, list[Labelled]] = defaultdict(list)
     for label in (*file.annotations, *file.road_users):
         if label.track_id is not None:
@@ -151,14 +152,17 @@ class Evidence:
     owner: Mapping[int, int | None]
     """The road user of each trajectory in the whole clip."""
 
-    def shown(self, one: Track) -> Track | None:
-        """A true trajectory from the first to the last moment at which it is visible; None where that is never."""
-        times = self.visible.get(one.number, [])
-        rows = (one.times_s >= min(times, default=1) - 1e-6) & (one.times_s <= max(times, default=0) + 1e-6)
-        return one.during(rows) if rows.sum() > 1 else None
+    def shown(self, track: Track) -> Track | None:
+        """Return a true trajectory from the first to the last moment at which it is visible; None if it never is."""
+        times = self.visible.get(track.number, [])
+        rows = (track.times_s >= min(times, default=1) - 1e-6) & (track.times_s <= max(times, default=0) + 1e-6)
+        return track.during(rows) if rows.sum() > 1 else None
 
     def state_of(self, crossing: GateCrossing) -> str:
-        """Seen (before and after), hardly (by ignored labels too), hidden (there), or never seen in the clip."""
+        """Return the visibility at the gate.
+
+        Seen (before and after), hardly (only with ignored labels), hidden there, or never seen in the clip.
+        """
         number, time_s = crossing.trajectory.number, crossing.time_s
         clear = self.clear.get(number, ())
         if any(0 <= time_s - t < AT_GATE_S for t in clear) and any(0 <= t - time_s < AT_GATE_S for t in clear):
@@ -168,19 +172,19 @@ class Evidence:
         return "hidden" if number in self.visible else "never"
 
     def cause_of(self, crossing: GateCrossing) -> str:
-        """The reason why a crossing is not counted."""
+        """Return the reason why a crossing is not counted."""
         number, time_s = crossing.trajectory.number, crossing.time_s
         if not self.found.get(number):
             return "never detected"
         if not _near(self.found[number], time_s, AROUND_S):
             return "not detected at the gate"
-        around = [(t, who) for t, who in self.followed.get(number, ()) if abs(t - time_s) < AROUND_S]
+        around = [(t, track) for t, track in self.followed.get(number, ()) if abs(t - time_s) < AROUND_S]
         if not around:
             return "detected, not tracked"
-        tracks = {who for _, who in around}
+        tracks = {track for _, track in around}
         if all(self.owner[who] != number for who in tracks):
             return "joined wrongly"
-        before, after = ({who for t, who in around if (t < time_s) == first} for first in (True, False))
+        before, after = ({track for t, track in around if (t < time_s) == first} for first in (True, False))
         if not before or not after:
             return "tracked on one side of the gate"
         if not before & after:
@@ -193,7 +197,7 @@ def _near(times: Iterable[float], time_s: float, within_s: float) -> bool:
 
 
 def evidence_of(file: AnnotationFile, results: Path | None, owners: Owners, trajectories: Sequence[Track]) -> Evidence:
-    """Collect the evidence; without results the labels that are not ignored count as detections."""
+    """Collect the evidence; without results, labels that are not ignored count as detections."""
     visible, clear, found = defaultdict[int, list[float]](list), defaultdict[int, list[float]](list), None
     for image, labels in zip(file.images, labels_of(file), strict=True):
         for label in labels:
@@ -204,21 +208,21 @@ def evidence_of(file: AnnotationFile, results: Path | None, owners: Owners, traj
     if results is not None:
         found = _detected(file, results)
     followed: dict[int, list[tuple[float, int]]] = defaultdict(list)
-    for one in trajectories:
-        for number in (one.number, *one.joined):
-            for time_s, who in owners.seen.get(number, ()):
-                followed[who].append((time_s, one.number))
+    for track in trajectories:
+        for number in (track.number, *track.joined):
+            for time_s, road_user in owners.seen.get(number, ()):
+                followed[road_user].append((time_s, track.number))
     return Evidence(
         visible=visible,
         clear=clear,
         found=clear if found is None else found,
         followed=followed,
-        owner={one.number: owners.whole(one) for one in trajectories},
+        owner={track.number: owners.whole(track) for track in trajectories},
     )
 
 
 def _detected(file: AnnotationFile, results: Path) -> Times:
-    """Times at which each road user was detected."""
+    """Return the times at which each road user was detected."""
     by_image: dict[int, list[tuple[str, Any]]] = defaultdict(list)
     for k, result in enumerate(coco.iter_all_results(results)):
         if result.score >= SCORE:
@@ -239,7 +243,7 @@ class ScoredClip:
     file: AnnotationFile
     truth: Sequence[Track]
     real: TrafficReport
-    told: TrafficReport
+    reported: TrafficReport
     owners: Owners
     evidence: Evidence
     plain: Mapping[tuple[str, int], list[tuple[int, float]]]
@@ -247,8 +251,8 @@ class ScoredClip:
 
     @property
     def category(self) -> Mapping[int, str]:
-        """Of each true road user."""
-        return {one.number: one.category for one in self.truth}
+        """Category of each true road user."""
+        return {track.number: track.category for track in self.truth}
 
     @property
     def eye(self) -> Any:
@@ -257,15 +261,15 @@ class ScoredClip:
         return camera.position
 
     def distance(self, crossing: GateCrossing) -> float:
-        """From the camera, metres."""
+        """Return the distance from the camera, metres."""
         return math.hypot(math.dist(crossing.place, self.eye[:2]), self.eye[2])
 
 
 def paired(clip: ScoredClip) -> dict[int, int]:
-    """Index of the true crossing that each counted one is, by its index."""
-    real, told = clip.real.crossings, clip.told.crossings
+    """Return the index of the true crossing for the index of each counted one."""
+    real, counted = clip.real.crossings, clip.reported.crossings
     options = []
-    for j, d in enumerate(told):
+    for j, d in enumerate(counted):
         owner = clip.owners.of(d.trajectory, d.time_s)
         for i, c in enumerate(real):
             late = abs(c.time_s - d.time_s)
@@ -288,52 +292,50 @@ BINS: Final = (0, 20, 40, 60, 1000)
 
 
 def print_tables(clips: Sequence[Row]) -> None:
-    """All tables."""
+    """Print all tables."""
     by_gate(clips)
     by_clip(clips)
     crossings = [row for clip in clips for row in clip["crossings"]]
     besides = [row for clip in clips for row in clip["besides"]]
-    print("\n                      crossings  missed (90%)        double  nobody's  did not cross  time within 90%")
+    print("\n                      crossings  missed (90%)        double  no owner  did not cross  time within 90%")
     for title, key in (("distance", distance_of), ("class", class_of), ("light", light_of), ("label", state_of)):
         by_kind(crossings, besides, title, key)
     hidden = Counter(row["state"] for row in crossings if row["state"] not in VISIBLE)
     counted = sum(row["counted"] for row in crossings if row["state"] not in VISIBLE)
-    print(
-        f"\nhidden at the gate: {hidden['hidden']}, in the whole clip: {hidden['never']}; of these counted: {counted}"
-    )
+    print(f"\nhidden at the gate: {hidden['hidden']}, in the whole clip: {hidden['never']}; still counted: {counted}")
     causes = Counter(row["cause"] for row in visible(crossings) if not row["counted"])
     print("why missed:", ", ".join(f"{number} {cause}" for cause, number in causes.most_common()) or "-")
 
 
 def visible(crossings: Iterable[Row]) -> list[Row]:
-    """Crossings that count: those that are visible at the gate."""
+    """Return the crossings that count: those that are visible at the gate."""
     return [row for row in crossings if row["state"] in VISIBLE]
 
 
 def distance_of(row: Row) -> str:
-    """The bin of its distance."""
+    """Return the bin of its distance."""
     k = int(np.searchsorted(BINS, row["distance"], side="right")) - 1
     return f"{BINS[k]}-{BINS[k + 1]} m" if k < len(BINS) - 2 else f"over {BINS[-2]} m"
 
 
 def class_of(row: Row) -> str:
-    """Its class."""
+    """Return its class."""
     return str(row["class"])
 
 
 def light_of(row: Row) -> str:
-    """Its clip's light."""
+    """Return the light of its clip."""
     return str(row["light"])
 
 
 def state_of(row: Row) -> str:
-    """Whether its labels at the gate are not ignored; of who is besides, nothing."""
+    """Return its visibility at the gate; "-" for a false or double crossing."""
     return str(row.get("state", "-"))
 
 
 def by_gate(clips: Sequence[Row]) -> None:
-    """A line for each gate and direction."""
-    print("clip                        gate   dir   who      truth hidden  all plain counted  off      %  GEH 90%")
+    """Print a row for each gate and direction."""
+    print("clip                        gate   dir   group    truth hidden  all plain counted  off      %  GEH 90%")
     for clip in clips:
         for row in clip["counts"]:
             if row["who"] == "all" or not (row["who"] == "vehicles" or row["truth_all"] or row["count"]):
@@ -351,62 +353,62 @@ def by_gate(clips: Sequence[Row]) -> None:
 
 
 def by_clip(clips: Sequence[Row]) -> None:
-    """A line for each clip."""
+    """Print two rows for each clip."""
     print(
         "\nclip                        movements: truth counted wrong   v50 off, km/h  v85 off   headways: median (90%)"
     )
     for clip in clips:
         turning = clip["turning"]
-        true, said = (sum(row[key] for row in turning) for key in ("truth", "count"))
+        true, counted = (sum(row[key] for row in turning) for key in ("truth", "count"))
         wrong = sum(abs(row["truth"] - row["count"]) for row in turning)
         headways, conflicts = clip["headways"], clip["conflicts"]
-        told = f"{headways['matched']} of {headways['truth']}: {pair_of(headways)} s"
+        headway_text = f"{headways['matched']} of {headways['truth']}: {pair_of(headways)} s"
         print(
-            f"{clip['clip']['name']:27.27} {true:16d} {said:7d} {wrong:5d}  {speeds_off(clip, 'v50'):>14}  "
-            f"{speeds_off(clip, 'v85'):>8}   {told}"
+            f"{clip['clip']['name']:27.27} {true:16d} {counted:7d} {wrong:5d}  {speeds_off(clip, 'v50'):>14}  "
+            f"{speeds_off(clip, 'v85'):>8}   {headway_text}"
         )
         pet = f"PET off {pair_of(conflicts['pet_ssam_s'])} s, of the area {pair_of(conflicts['pet_area_s'])} s"
-        pairs = f"{conflicts['matched']} of {conflicts['truth']} conflicts, {conflicts['told']} told"
+        pairs = f"{conflicts['matched']} of {conflicts['truth']} conflicts, {conflicts['told']} reported"
         print(f"{'':27} {pairs}; {pet}")
 
 
 def middle_of(values: Sequence[float]) -> dict[str, Any]:
-    """Median and 90% of values; None where there are none."""
+    """Return the median and 90% quantile of values; None without values."""
     known = [value for value in values if not math.isnan(value)]
     names = {"median": 50, "p90": 90}
     return {name: float(np.percentile(known, share)) if known else None for name, share in names.items()}
 
 
 def pair_of(values: Row) -> str:
-    """Median and 90%."""
+    """Format a median and 90% quantile."""
     return "-" if values["median"] is None else f"{values['median']:.2f} ({values['p90']:.2f})"
 
 
 def speeds_off(clip: Row, name: str) -> str:
-    """Median of the absolute differences of a percentile, over the gates that tell it."""
+    """Format the median of the absolute differences of a percentile, over the gates that report it."""
     off = [abs(row["told"] - row["truth"]) for row in clip["speeds"] if row["name"] == name and row["told"] is not None]
     return f"{np.median(off):.1f} [{len(off)}]" if off else "-"
 
 
 def by_kind(crossings: Sequence[Row], besides: Sequence[Row], title: str, key: Callable[[Row], str]) -> None:
-    """Misses and doubles of each kind, of those who are visible at the gate."""
-    own = visible(crossings)
-    for kind in sorted({key(row) for row in (*own, *besides)}):
-        rows = [row for row in own if key(row) == kind]
+    """Print the misses and doubles of each kind, for crossings that are visible at the gate."""
+    visible_crossings = visible(crossings)
+    for kind in sorted({key(row) for row in (*visible_crossings, *besides)}):
+        rows = [row for row in visible_crossings if key(row) == kind]
         missed = sum(not row["counted"] for row in rows)
         low, high = share_between(missed, len(rows))
         more = Counter(row["what"] for row in besides if key(row) == kind)
         within = [row["time_holds"] for row in rows if row["counted"]]
         share = f"{100 * missed / len(rows):.0f}%" if rows else "-"
-        told = f"{missed:4d} {share:>4} ({100 * low:.0f}-{100 * high:.0f}%)"
+        missed_text = f"{missed:4d} {share:>4} ({100 * low:.0f}-{100 * high:.0f}%)"
         print(
-            f"{title:9} {kind:12} {len(rows):8d}  {told:19} {more['double']:6d} {more['nobody']:9d} "
+            f"{title:9} {kind:12} {len(rows):8d}  {missed_text:19} {more['double']:6d} {more['nobody']:9d} "
             f"{more['did not cross']:14d}  {f'{100 * np.mean(within):.0f}%' if within else '-':>15}"
         )
 
 
 def share_between(number: int, of: int) -> tuple[float, float]:
-    """The share's interval that holds it with 90%: Clopper and Pearson's."""
+    """Return the 90% interval of a share, by Clopper and Pearson."""
     from scipy.special import betaincinv
 
     low = float(betaincinv(number, of - number + 1, 0.05)) if number else 0.0
@@ -415,30 +417,30 @@ def share_between(number: int, of: int) -> tuple[float, float]:
 
 RESULTS: Final = "results.json"
 KINDS: Final = {"all": (True, False), "vehicles": (True,), "others": (False,)}
-"""Groups of road users that are counted, and whether these are vehicles."""
+"""Groups of road users that are counted, and whether they include vehicles."""
 Row = dict[str, Any]
 
 
 def scored_clip(folder: Path, out: Path, light: str) -> ScoredClip:
-    """Truth and report of a clip; `out` has its tracks, made from labels if it is called "true"."""
+    """Read the truth and measure the report of a clip; `out` has its tracks, made from labels if its name is "true"."""
     site, truth, file = read_site(folder / SITE), read_truth(folder), coco.read(folder / LABELS)
-    told = measure(read_tracks(out / "tracks" / TRACKS_CSV), read_observation(out / "tracks"), site)
+    report = measure(read_tracks(out / "tracks" / TRACKS_CSV), read_observation(out / "tracks"), site)
     owners = owners_of(out / "tracks", file)
     found = None if out.name == "true" else folder / SEEN / PREDICTIONS_FILE
     return ScoredClip(
         file=file,
         truth=truth.trajectories,
         real=measure(truth.trajectories, Observation(times_s=truth.times_s), site, broken=False),
-        told=told,
+        reported=report,
         owners=owners,
-        evidence=evidence_of(file, found, owners, told.trajectories),
+        evidence=evidence_of(file, found, owners, report.trajectories),
         plain=plain_counts(truth, site.gates),
         light=light,
     )
 
 
 def score_clip(folder: Path, *, true_keypoints: bool) -> Row:
-    """All scores of a clip."""
+    """Compute all scores of a clip."""
     out, clip = reported(folder, true_keypoints), read_json(folder / CLIP)
     this = scored_clip(folder, out, str(clip["light"]))
     pairs = paired(this)
@@ -446,7 +448,7 @@ def score_clip(folder: Path, *, true_keypoints: bool) -> Row:
     return {
         "clip": dict(clip),
         "counts": count_rows(
-            this, [one for one in summary["counts"] if one["class"] == ALL_CLASSES], this.real.observation.times_s
+            this, [row for row in summary["counts"] if row["class"] == ALL_CLASSES], this.real.observation.times_s
         ),
         "turning": turning_rows(this),
         "speeds": speed_rows(this),
@@ -460,12 +462,12 @@ def score_clip(folder: Path, *, true_keypoints: bool) -> Row:
 # ---------------------------------------------------------------------------------------------------------------- rows
 
 
-def count_rows(clip: ScoredClip, told: Sequence[Mapping[str, Any]], times_s: Any) -> list[Row]:
-    """By gate, direction and kind of road user; GEH is that of the hourly volumes that these would be."""
+def count_rows(clip: ScoredClip, summary_rows: Sequence[Mapping[str, Any]], times_s: Any) -> list[Row]:
+    """Compare counts by gate, direction and kind of road user; GEH uses the corresponding hourly volumes."""
     hourly = 3600 / (float(times_s[-1] - times_s[0]) or 1.0)
     rows = []
-    for side in told:
-        for who, kinds in KINDS.items():
+    for side in summary_rows:
+        for group, kinds in KINDS.items():
             real, counted = (
                 [
                     c
@@ -473,10 +475,10 @@ def count_rows(clip: ScoredClip, told: Sequence[Mapping[str, Any]], times_s: Any
                     if (c.gate, c.direction_name) == (side["gate"], side["direction"])
                     and (c.trajectory.category == VEHICLE_CATEGORY) in kinds
                 ]
-                for report in (clip.real, clip.told)
+                for report in (clip.real, clip.reported)
             )
-            if who == "all" and len(counted) != side["count"]:
-                raise UserError(f"{side}: what the command counted is not what was measured here: {len(counted)}")
+            if group == "all" and len(counted) != side["count"]:
+                raise UserError(f"{side}: the count of the command differs from the one measured here: {len(counted)}")
             states = Counter(clip.evidence.state_of(c) for c in real)
             true, count = sum(states[name] for name in VISIBLE), len(counted)
             interval = expected_of(clip, side, kinds)
@@ -485,7 +487,7 @@ def count_rows(clip: ScoredClip, told: Sequence[Mapping[str, Any]], times_s: Any
                 {
                     "gate": side["gate"],
                     "direction": side["direction"],
-                    "who": who,
+                    "who": group,
                     "truth": true,
                     "seen": states["seen"],
                     "hidden_at_gate": states["hidden"],
@@ -506,54 +508,54 @@ def count_rows(clip: ScoredClip, told: Sequence[Mapping[str, Any]], times_s: Any
 
 
 def expected_of(clip: ScoredClip, side: Mapping[str, Any], chosen: Sequence[bool]) -> CountInterval | None:
-    """The interval of the count of vehicles, of others, or of both; None without one."""
-    told = clip.told
+    """Return the interval of the count of vehicles, of other road users, or of both; None without one."""
+    report = clip.reported
     totals = {
-        one.class_name: one
-        for one in told.counts_total
-        if (one.gate, one.direction) == (side["gate"], side["direction"])
+        row.class_name: row
+        for row in report.counts_total
+        if (row.gate, row.direction) == (side["gate"], side["direction"])
     }
     total = totals[ALL_CLASSES if len(chosen) > 1 or not chosen[0] else VEHICLE_CATEGORY]
     if len(chosen) > 1 or chosen[0]:
         return total.confidence_interval
-    there = [
-        one
-        for one in (*told.crossings, *told.unseen.doubtful)
-        if (one.gate, one.direction_name) == (total.gate, total.direction)
+    crossings = [
+        crossing
+        for crossing in (*report.crossings, *report.unseen.doubtful)
+        if (crossing.gate, crossing.direction_name) == (total.gate, total.direction)
     ]
     direction = side_of(side, clip)
-    kinds = told.unseen.kinds_at(total.gate, direction)[1:]
-    most = partial(told.unseen.most, total.gate, direction, total.interval)
-    return expected(there, kinds, most, ALL_CLASSES, {name for kind in kinds for name in kind.classes})
+    kinds = report.unseen.kinds_at(total.gate, direction)[1:]
+    most = partial(report.unseen.most, total.gate, direction, total.interval)
+    return expected(crossings, kinds, most, ALL_CLASSES, {name for kind in kinds for name in kind.classes})
 
 
 def side_of(side: Mapping[str, Any], clip: ScoredClip) -> int:
-    """The direction of a row of the summary, 0 or 1."""
+    """Return the direction of a row of the summary, 0 or 1."""
     (gate,) = (gate for gate in clip.real.site.gates if gate.name == side["gate"])
     return direction_names(gate).index(side["direction"])
 
 
 def turning_rows(clip: ScoredClip) -> list[Row]:
-    """Movements between two gates of road users that were seen at both."""
-    real, told = (
+    """Compare movements between two gates, of road users that were seen at both."""
+    real, counted = (
         {
-            (one.origin, one.destination, one.class_name): one
-            for one in report.turning_total
-            if NO_GATE not in (one.origin, one.destination)
+            (movement.origin, movement.destination, movement.class_name): movement
+            for movement in report.turning_total
+            if NO_GATE not in (movement.origin, movement.destination)
         }
-        for report in (clip.real, clip.told)
+        for report in (clip.real, clip.reported)
     )
     rows = []
-    for pair in sorted({*real, *told}):
-        true, said = (side[pair].count or 0 if pair in side else 0 for side in (real, told))
-        expected = told[pair].confidence_interval if pair in told else None
+    for pair in sorted({*real, *counted}):
+        true, count = (side[pair].count or 0 if pair in side else 0 for side in (real, counted))
+        expected = counted[pair].confidence_interval if pair in counted else None
         rows.append(
             {
                 "from": list(pair[0]),
                 "to": list(pair[1]),
                 "who": pair[2],
                 "truth": true,
-                "count": said,
+                "count": count,
                 "holds": expected.low <= true <= expected.high if expected is not None else None,
             }
         )
@@ -561,23 +563,29 @@ def turning_rows(clip: ScoredClip) -> list[Row]:
 
 
 def speed_rows(clip: ScoredClip) -> list[Row]:
-    """v50 and v85 of motor vehicles at each gate, km/h."""
-    real, told = (
-        {one.where: one for one in report.speeds if (one.kind, one.class_name, one.interval) == ("spot", "motor", None)}
-        for report in (clip.real, clip.told)
+    """Compare v50 and v85 of motor vehicles at each gate, km/h."""
+    real, counted = (
+        {
+            entry.where: entry
+            for entry in report.speeds
+            if (entry.kind, entry.class_name, entry.interval) == ("spot", "motor", None)
+        }
+        for report in (clip.real, clip.reported)
     )
     rows = []
-    for where, one in real.items():
-        own = [
+    for where, true_speed in real.items():
+        speeds = [
             KMH_PER_MPS * c.speed
             for c in clip.real.crossings
             if f"{c.gate} ({c.direction_name})" == where and c.trajectory.class_name not in ("bicycle", "pedestrian")
         ]
         for name, share in (("v50", 0.5), ("v85", 0.85)):
-            said = told[where].percentiles[name] if where in told else None
-            value, low, high = (said.value, said.low, said.high) if said is not None else (None,) * 3
-            true = float(np.quantile(own, share))
-            row: Row = {"where": where, "name": name, "number": one.number, "truth": true, "told": None}
+            percentile = counted[where].percentiles[name] if where in counted else None
+            value, low, high = (
+                (percentile.value, percentile.low, percentile.high) if percentile is not None else (None,) * 3
+            )
+            true = float(np.quantile(speeds, share))
+            row: Row = {"where": where, "name": name, "number": true_speed.number, "truth": true, "told": None}
             if value is not None and low is not None and high is not None:
                 row |= {"told": KMH_PER_MPS * value, "holds": KMH_PER_MPS * low <= true <= KMH_PER_MPS * high}
             rows.append(row)
@@ -585,45 +593,47 @@ def speed_rows(clip: ScoredClip) -> list[Row]:
 
 
 def headway_rows(clip: ScoredClip, pairs: Mapping[int, int]) -> Row:
-    """Absolute differences of headways, seconds, pairs matched by their vehicles."""
+    """Compare headways: absolute differences in seconds, of pairs matched by their vehicles."""
     index = {id(c): i for i, c in enumerate(clip.real.crossings)}
     real = {(index[id(h.leader)], index[id(h.follower)]): h for h in clip.real.headways}
-    which = {id(d): pairs.get(j) for j, d in enumerate(clip.told.crossings)}
+    which = {id(d): pairs.get(j) for j, d in enumerate(clip.reported.crossings)}
     off = [
         abs(h.headway_s - real[key].headway_s)
-        for h in clip.told.headways
+        for h in clip.reported.headways
         if (key := (which[id(h.leader)], which[id(h.follower)])) in real
     ]
-    return {"truth": len(real), "told": len(clip.told.headways), "matched": len(off), **middle_of(off)}
+    return {"truth": len(real), "told": len(clip.reported.headways), "matched": len(off), **middle_of(off)}
 
 
 def conflict_rows(clip: ScoredClip) -> Row:
-    """PET by both definitions, pairs matched by their road users; true tracks are as long as they are visible.
+    """Compare PET by both definitions, of pairs matched by their road users.
 
-    Parts beyond the image, or hidden ones, would enlarge the area that both drive over.
+    True tracks end where they are no longer visible; parts beyond the image, or hidden ones, would enlarge the common
+    area.
     """
-    shown = [seen for one in clip.truth if (seen := clip.evidence.shown(one)) is not None]
+    shown = [seen for track in clip.truth if (seen := clip.evidence.shown(track)) is not None]
     search = conflicts(shown, clip.real.site.traffic, np.random.default_rng(0))
     real = {frozenset((c.first.number, c.second.number)): c for c in search.conflicts}
-    told = {
-        frozenset((clip.owners.whole(c.first), clip.owners.whole(c.second))): c for c in clip.told.conflicts.conflicts
+    counted = {
+        frozenset((clip.owners.whole(c.first), clip.owners.whole(c.second))): c
+        for c in clip.reported.conflicts.conflicts
     }
-    both = real.keys() & told.keys()
+    in_both = real.keys() & counted.keys()
     return {
         "truth": len(real),
-        "told": len(clip.told.conflicts.conflicts),
-        "matched": len(both),
-        "overlapping": clip.told.conflicts.overlapping,
+        "told": len(clip.reported.conflicts.conflicts),
+        "matched": len(in_both),
+        "overlapping": clip.reported.conflicts.overlapping,
         **{
-            name: middle_of([abs(getattr(real[key], name) - getattr(told[key], name)) for key in both])
+            name: middle_of([abs(getattr(real[key], name) - getattr(counted[key], name)) for key in in_both])
             for name in ("pet_ssam_s", "pet_area_s", "ttc_s")
         },
     }
 
 
 def crossing_rows(clip: ScoredClip, pairs: Mapping[int, int]) -> list[Row]:
-    """A row for each true crossing: whether it was counted, with which class, or why not."""
-    counted = {i: clip.told.crossings[j] for j, i in pairs.items()}
+    """Return a row for each true crossing: whether it was counted, with which class, or why not."""
+    counted = {i: clip.reported.crossings[j] for j, i in pairs.items()}
     rows = []
     for i, c in enumerate(clip.real.crossings):
         row: Row = {
@@ -651,10 +661,10 @@ def crossing_rows(clip: ScoredClip, pairs: Mapping[int, int]) -> list[Row]:
 
 
 def besides_rows(clip: ScoredClip, pairs: Mapping[int, int]) -> list[Row]:
-    """A row for each counted crossing that is false or double."""
+    """Return a row for each counted crossing that is false or double."""
     crossed = {(c.trajectory.number, c.gate, c.direction) for c in clip.real.crossings}
     rows = []
-    for j, d in enumerate(clip.told.crossings):
+    for j, d in enumerate(clip.reported.crossings):
         if j in pairs:
             continue
         owner = clip.owners.of(d.trajectory, d.time_s)
@@ -676,9 +686,9 @@ def besides_rows(clip: ScoredClip, pairs: Mapping[int, int]) -> list[Row]:
 
 NEAR_M: Final = 1.5
 MOST: Final = 0.6
-"""Least share of a track's frames in which its vehicle is near."""
+"""Smallest share of a track's frames in which its vehicle must be near."""
 FEWEST: Final = 24
-"""Least number of moments of a track."""
+"""Fewest moments of a track."""
 LIMITS_M: Final = (5.2, 6.0, 6.55, 7.5, 9.0, 11.0)
 
 
@@ -692,36 +702,40 @@ class Pair:
 
 
 def pairs_of(folder: Path, true_keypoints: bool) -> Iterator[Pair]:
-    """The tracks of a clip whose vehicles are known."""
+    """Yield the tracks of a clip whose vehicles are known."""
     tracks = reported(folder, true_keypoints) / "tracks"
-    truth = [one for one in read_truth(folder).trajectories if one.category == VEHICLE_CATEGORY]
+    truth = [vehicle for vehicle in read_truth(folder).trajectories if vehicle.category == VEHICLE_CATEGORY]
     at: defaultdict[float, list[tuple[int, Array]]] = defaultdict(list)
-    for k, one in enumerate(truth):
-        for time_s, place in zip(one.times_s, one.xy, strict=True):
-            at[round(float(time_s), 3)].append((k, place))
+    for k, vehicle in enumerate(truth):
+        for time_s, position in zip(vehicle.times_s, vehicle.xy, strict=True):
+            at[round(float(time_s), 3)].append((k, position))
     for track in read_tracks(tracks / TRACKS_CSV):
         if track.category != VEHICLE_CATEGORY or not is_in_traffic(track) or len(track.times_s) < FEWEST:
             continue
         votes, moments = Counter[int](), 0
-        for time_s, place in zip(track.times_s[::3], track.xy[::3], strict=True):
-            there = at[round(float(time_s), 3)]
-            away = [float(np.hypot(*(place - other))) for _, other in there]
-            moments += bool(there)
-            if there and min(away) < NEAR_M:
-                votes[there[int(np.argmin(away))][0]] += 1
+        for time_s, position in zip(track.times_s[::3], track.xy[::3], strict=True):
+            present = at[round(float(time_s), 3)]
+            away = [float(np.hypot(*(position - true_position))) for _, true_position in present]
+            moments += bool(present)
+            if present and min(away) < NEAR_M:
+                votes[present[int(np.argmin(away))][0]] += 1
         if votes and votes.most_common(1)[0][1] >= MOST * moments:
             length = truth[votes.most_common(1)[0][0]].length
             assert length is not None
             yield Pair(folder.name.rsplit("_", 1)[0], track, length)
 
 
-def fitted(told: Array, true: Array) -> tuple[Array, float, float]:
-    """(3,) shares of small errors, of large ones and of mistaken bodies; the two relative standard deviations."""
+def fitted(estimated: Array, true: Array) -> tuple[Array, float, float]:
+    """Fit the errors of lengths.
+
+    Returns:
+        Shares (3,) of small errors, of large ones and of mistaken bodies, and the two relative standard deviations.
+    """
 
     def unlikely(a: Array) -> float:
         shares = np.exp([0, *a[2:]]) / np.exp([0, *a[2:]]).sum()
-        off = (true - told) / told
-        parts = (norm.pdf(off, 0, np.exp(a[0])) / told, norm.pdf(off, 0, np.exp(a[1])) / told, 0.1)
+        off = (true - estimated) / estimated
+        parts = (norm.pdf(off, 0, np.exp(a[0])) / estimated, norm.pdf(off, 0, np.exp(a[1])) / estimated, 0.1)
         return -float(np.log(sum(share * part for share, part in zip(shares, parts, strict=True))).sum())
 
     a = minimize(unlikely, [-4, -2.5, -1, -5], method="Nelder-Mead", options={"maxiter": 4000}).x
@@ -730,30 +744,36 @@ def fitted(told: Array, true: Array) -> tuple[Array, float, float]:
 
 
 def print_fit(pairs: Sequence[Pair]) -> None:
-    """The errors of each class of tracks."""
-    for name in sorted({one.track.class_name for one in pairs}):
-        own = [one for one in pairs if one.track.class_name == name]
-        told, true = (np.array([value(one) for one in own]) for value in (lambda p: p.track.length, lambda p: p.true_m))
-        shares, small, large = fitted(told, true)
-        rms = float(np.sqrt(np.mean((told - true) ** 2)))
-        print(f"{name:8} {len(own):4} {np.round(shares, 3)} {small:.3f} {large:.3f}  rms {rms:.2f} m")
+    """Print the errors of each class of tracks."""
+    for name in sorted({pair.track.class_name for pair in pairs}):
+        class_pairs = [pair for pair in pairs if pair.track.class_name == name]
+        estimated, true = (
+            np.array([value(pair) for pair in class_pairs]) for value in (lambda p: p.track.length, lambda p: p.true_m)
+        )
+        shares, small, large = fitted(estimated, true)
+        rms = float(np.sqrt(np.mean((estimated - true) ** 2)))
+        print(f"{name:8} {len(class_pairs):4} {np.round(shares, 3)} {small:.3f} {large:.3f}  rms {rms:.2f} m")
 
 
 def print_bins(pairs: Sequence[Pair]) -> None:
-    """Number of vehicles of each site that are longer than limits."""
-    for site in sorted({one.site for one in pairs}):
-        own = [one for one in pairs if one.site == site]
+    """Print the number of vehicles at each site that are longer than some limits."""
+    for site in sorted({pair.site for pair in pairs}):
+        site_pairs = [pair for pair in pairs if pair.site == site]
         for limit in LIMITS_M:
-            longer = np.array([1 - bin_probabilities(one.track, (limit, 30.0), None)[0] for one in own])
+            longer = np.array([1 - bin_probabilities(pair.track, (limit, 30.0), None)[0] for pair in site_pairs])
             spread = INTERVAL_SIGMAS * float(np.sqrt((longer * (1 - longer)).sum()))
-            true, told = (sum(v > limit for v in vs) for vs in ([p.true_m for p in own], [p.track.length for p in own]))
+            true, estimated = (
+                sum(v > limit for v in vs)
+                for vs in ([p.true_m for p in site_pairs], [p.track.length for p in site_pairs])
+            )
             print(
-                f"{site:24} over {limit:5.2f} m: {true:3} in truth, {told:3} told, {longer.sum():5.1f} +- {spread:.1f}"
+                f"{site:24} over {limit:5.2f} m: {true:3} in truth, {estimated:3} estimated, "
+                f"{longer.sum():5.1f} +- {spread:.1f}"
             )
 
 
 def clips_of(options: argparse.Namespace) -> list[Path]:
-    """The folders of the chosen clips."""
+    """Return the folders of the chosen clips."""
     folders = [options.folder / clip.name for clip in chosen(options.only)]
     folders = [folder for folder in folders if (folder / CLIP).is_file()]
     if not folders:
@@ -779,14 +799,16 @@ def fit_lengths(options: argparse.Namespace) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
-    for name, run, what in (
+    for name, run, quantities in (
         ("counts", score_counts, "counts, speeds, headways and conflicts"),
         ("lengths", fit_lengths, "vehicle lengths"),
     ):
-        command = commands.add_parser(name, help=f"{what} against the truth")
+        command = commands.add_parser(name, help=f"{quantities} against the truth")
         command.add_argument("folder", type=Path, help="folder of the clips")
         command.add_argument("--only", default="", help="names of clips, separated by commas, or `checks`")
-        command.add_argument("--true-keypoints", action="store_true", help="labels with 2 px of noise, no detections")
+        command.add_argument(
+            "--true-keypoints", action="store_true", help="use labels with 2 px of noise instead of detections"
+        )
         command.set_defaults(run=run)
     options = parser.parse_args()
     options.run(options)
