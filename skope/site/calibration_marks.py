@@ -165,4 +165,4 @@ def _vehicles(table: TomlTable) -> CameraPrior | None:
     known = read_uncertain_camera(path)
     if known is None or set(known.parameters) & {"x", "y", "yaw"}:
         raise table.wrong("vehicles", f"{path}: expected a camera file that `skope eval camera` made from vehicles")
-    return known.belief("vehicles")
+    return known.prior("vehicles")

@@ -189,7 +189,11 @@ def _point(fields: _Fields, name: str) -> MarkedPoint | None:
             fields.wrong(f"place.{axis}", "type it in metres", missing=True)
         elif found is None or abs(found) > MARK_LIMITS.farthest_m:
             fields.wrong(f"place.{axis}", f"expected metres, got {shown(value)}")
-    usual = {"sigma_px": MARKING_ERRORS.pixel, "sigma_m": MARKING_ERRORS.place_m, "sigma_z_m": MARKING_ERRORS.height_m}
+    usual = {
+        "sigma_px": MARKING_ERRORS.pixel,
+        "sigma_m": MARKING_ERRORS.position_m,
+        "sigma_z_m": MARKING_ERRORS.height_m,
+    }
     sigmas = {field: fields.sigma(field, default) for field, default in usual.items()}
     if fields.problems or pixel is None:
         return None

@@ -155,7 +155,7 @@ def loaded(path: Path, size: tuple[int, int]) -> dict[str, Any]:
         # Coordinates from a local origin have more digits than the file: tenths of millimetres are kept.
         points = [entry | {"place": np.round(entry["place"], 4).tolist()} for entry in map(point_entry, file.points)]
         world = {"world": dict(file.world)} if file.world else {}
-        return {"points": points, **world, "said": "; ".join(file.said)}
+        return {"points": points, **world, "said": "; ".join(file.notes)}
     camera, posed = read_camera(path, size)
     known = read_uncertain_camera(path) if posed and path.suffix.lower() == ".json" else None
     camera, scaled = fitted_camera(camera, size, str(path), "the footage")

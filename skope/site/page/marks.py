@@ -81,7 +81,7 @@ def marks_of_document(document: Mapping[str, Any], size: tuple[int, int]) -> Mar
                 entries[kind][name] = index
     beliefs, wrong = _known(document.get("known"), size[0])
     problems += wrong
-    evidence = Evidence(size, **{kind: tuple(found[kind]) for kind in MARK_KINDS}, beliefs=beliefs)
+    evidence = Evidence(size, **{kind: tuple(found[kind]) for kind in MARK_KINDS}, priors=beliefs)
     return Marks(evidence=evidence, entries=entries, problems=problems)
 
 

@@ -50,7 +50,7 @@ PAGE_FILES: Final = SHARED_FILES | {
 }
 PAGE_LIMITS: Final = {
     "fewest": FEWEST_POSITIONS,
-    "usual": {"points": MARKING_ERRORS.place_m, "lengths": MARK_LIMITS.length_sigma_m, "lanes": DEFAULT_LANE_M},
+    "usual": {"points": MARKING_ERRORS.position_m, "lengths": MARK_LIMITS.length_sigma_m, "lanes": DEFAULT_LANE_M},
     "longest_name": MARK_LIMITS.name_letters,
 }
 """Limits of the parser for the page: number of positions by kind, default values of empty fields, letters of a name."""

@@ -201,7 +201,11 @@ def _marks(marks: CalibrationMarks, size: tuple[int, int]) -> dict[str, Any]:
 
 def point_entry(point: MarkedPoint) -> dict[str, Any]:
     """Return a point for the document, with standard deviations that differ from the defaults."""
-    usual = {"sigma_m": MARKING_ERRORS.place_m, "sigma_px": MARKING_ERRORS.pixel, "sigma_z_m": MARKING_ERRORS.height_m}
+    usual = {
+        "sigma_m": MARKING_ERRORS.position_m,
+        "sigma_px": MARKING_ERRORS.pixel,
+        "sigma_z_m": MARKING_ERRORS.height_m,
+    }
     own = {
         key: value
         for name, default in usual.items()

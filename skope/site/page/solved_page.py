@@ -61,7 +61,7 @@ def missing(document: Mapping[str, Any], marks: Marks) -> str:
     # Three points have as many coordinates as a pose. A fourth is needed if the lens is unknown.
     needed = (
         POINT_FIT.fewest_points - 1
-        if any("focal" in belief.of for belief in evidence.beliefs)
+        if any("focal" in belief.of for belief in evidence.priors)
         else POINT_FIT.fewest_points
     )
     if evidence.lengths or evidence.parallels or len(evidence.points) >= needed:
@@ -184,7 +184,7 @@ class SolvedPage:
         if lacking:
             return replace(fallback, message=lacking)
         vehicles = (self._vehicles,) if self._vehicles else ()
-        evidence = replace(evidence, beliefs=(*evidence.beliefs, *vehicles))
+        evidence = replace(evidence, priors=(*evidence.priors, *vehicles))
         try:
             found = calibrate(evidence)
         except UserError as error:
