@@ -19,7 +19,7 @@ import numpy as np
 
 from skope.errors import UserError
 from skope.files.atomic import sha256_of
-from skope.site.site_file import clock_doubt
+from skope.site.site_file import clock_problem
 from skope.terminal.console import counted
 from skope.tracks.csv_file import TRACKS_CSV, read_tracks
 from skope.tracks.track import Track
@@ -63,7 +63,7 @@ def parse_start_time(given: str | datetime, site: "SiteFile", where: str) -> dat
             f"{where}: expected a time with its UTC offset, like 2026-11-26T10:00:00+01:00, as {site.path} has no "
             f"time_zone; got {given}"
         )
-    if problem := clock_doubt(begin, zone):
+    if problem := clock_problem(begin, zone):
         raise UserError(f"{where}: {given}: {problem}")
     return begin.replace(tzinfo=zone)
 
@@ -84,7 +84,7 @@ def begin_in_name(name: str, site: "SiteFile") -> datetime | None:
     if utc:
         return local_time(begin.replace(tzinfo=UTC), site)
     zone = _zone(site)
-    return None if zone is None or clock_doubt(begin, zone) else begin.replace(tzinfo=zone)
+    return None if zone is None or clock_problem(begin, zone) else begin.replace(tzinfo=zone)
 
 
 def _zone(site: "SiteFile") -> ZoneInfo | None:

@@ -131,8 +131,8 @@ def test_the_camera_of_a_file_keeps_its_uncertainty(tmp_path: Path) -> None:
     assert read.camera.known.parameters == ("z",)
     assert read.camera.known.covariance == pytest.approx(np.array([[0.0625]]))
     assert read.calibration is not None
-    (belief,) = read.calibration.evidence((640, 480)).priors
-    assert belief.mean == pytest.approx([5.0])
+    (prior,) = read.calibration.evidence((640, 480)).priors
+    assert prior.mean == pytest.approx([5.0])
 
 
 @pytest.mark.parametrize(

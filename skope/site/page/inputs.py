@@ -161,9 +161,9 @@ def loaded(path: Path, size: tuple[int, int]) -> dict[str, Any]:
     camera, scaled = fitted_camera(camera, size, str(path), "the footage")
     lens = {"lens": lens_of(camera)}
     if not posed:
-        said = "the file has only the lens: mark points, or lengths and parallel lines, for the pose of the camera"
-        said = f"{scaled}; {said}" if scaled else said
-        return {**lens, "said": said}
+        message = "the file has only the lens: mark points, or lengths and parallel lines, for the pose of the camera"
+        message = f"{scaled}; {message}" if scaled else message
+        return {**lens, "said": message}
     return {**lens, "camera": camera_dict(known, camera) | {"trusted": True}, "said": scaled}
 
 

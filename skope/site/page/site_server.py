@@ -174,8 +174,8 @@ class SiteServer(LocalServer):
         except SavedElsewhereError:
             return HTTPStatus.CONFLICT, {"text": SAVED_ELSEWHERE.format(name=self.store.path.name)}
         counts = solved.camera or any(drawn_in_image("gates", gate) for gate in document.get("gates", []))
-        said = "" if counts else "saved; the camera is not calibrated yet"
-        return HTTPStatus.OK, {"revision": revision, "said": said}
+        message = "" if counts else "saved; the camera is not calibrated yet"
+        return HTTPStatus.OK, {"revision": revision, "said": message}
 
     def read(self, sent: Mapping[str, Any]) -> dict[str, Any]:
         """Return the content of a file that the browser sends."""
