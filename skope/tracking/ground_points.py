@@ -149,7 +149,7 @@ def _groups(found: Sequence[RoadUser | RoadUserResult], boxes: Array) -> list[li
 
 def _wider(point: GroundPoint | None, scene: Scene, image: Image) -> GroundPoint | None:
     """Return a ground point with the residual camera shake added to its covariance."""
-    shake, road = scene.sway_in(image), scene.road_in(image)
+    shake, road = scene.shake_in(image), scene.road_in(image)
     if point is None or shake is None or road is None:
         return point
     added, _ = camera_errors(shake, np.array([[*point.position, point.height]]), np.zeros((1, 2)), road.slope)
