@@ -61,7 +61,7 @@ class SiteFrames:
             UserError: It is none of these, or cannot be read.
         """
         footage = open_footage(source)
-        if footage.live or footage.place is None:
+        if footage.live or footage.location is None:
             raise UserError(f"{source}: a stream has no frames to go back to; record some seconds of it")
         if footage.images:
             paths = footage.images
