@@ -173,7 +173,7 @@ def _is_double(rows: Array, longer: Array) -> bool:
         return False
     first, second = _boxes(rows[common]), _boxes(longer[longer_common])
     inside, apart = inside_and_apart(first, second)
-    # Two boxes of one vehicle keep their places in it; a car passes along the lorry that its box lies in.
+    # Two boxes of one vehicle keep their relative position. A car whose box lies in that of a lorry moves along it.
     offset = (feet(first) - feet(second)) / np.maximum(first[:, 2:], second[:, 2:])
     drift = np.ptp(np.percentile(offset, (10, 90), axis=0), axis=0).max()
     return bool(

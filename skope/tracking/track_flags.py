@@ -161,7 +161,7 @@ def _impossible(track: Track) -> NDArray[np.bool_]:
 
 
 def _against_traffic(tracks: Sequence[Track]) -> set[int]:
-    """Return the numbers of tracks that for most of their way meet only vehicles in the opposite direction."""
+    """Return the numbers of tracks that meet only vehicles in the opposite direction on most of their path."""
     moving = [(track, np.flatnonzero(track.speed > FLAG_LIMITS.direction_mps)) for track in tracks]
     moving = [(track, rows) for track, rows in moving if rows.size]
     if len(moving) <= FLAG_LIMITS.fewest_vehicles:
@@ -186,7 +186,7 @@ def _implausible_speeds(tracks: Sequence[Track]) -> set[int]:
     """Return the numbers of tracks with a speed that contradicts the flow at most of the spots that they pass.
 
     Spots are counted, not moments: a vehicle that waits at a traffic light has the speed of the flow on most of its
-    way.
+    path.
     """
     if len(tracks) <= FLAG_LIMITS.fewest_vehicles:
         return set()
