@@ -335,7 +335,7 @@ def _of_draw(camera: Camera, rng: np.random.Generator, traffic: Traffic, alone: 
         yield "vehicles", held(camera, told, gauge=True)
     if alone:
         return
-    whole = replace(measured, points=marked, beliefs=(told.belief("vehicles"),) if told else ())
+    whole = replace(measured, points=marked, priors=(told.prior("vehicles"),) if told else ())
     evidence = {"6 points": Evidence(SIZE, points=marked), "lengths and parallel lines": measured, "together": whole}
     for name, one in evidence.items():
         try:

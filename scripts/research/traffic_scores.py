@@ -258,7 +258,7 @@ class ScoredClip:
 
     def distance(self, crossing: GateCrossing) -> float:
         """From the camera, metres."""
-        return math.hypot(math.dist(crossing.place, self.eye[:2]), self.eye[2])
+        return math.hypot(math.dist(crossing.position, self.eye[:2]), self.eye[2])
 
 
 def paired(clip: ScoredClip) -> dict[int, int]:
@@ -272,7 +272,7 @@ def paired(clip: ScoredClip) -> dict[int, int]:
             if (c.gate, c.direction) != (d.gate, d.direction) or late > SAME_S:
                 continue
             same = owner == c.trajectory.number
-            if same or (late < NEAR_S and math.dist(c.place, d.place) < NEAR_M):
+            if same or (late < NEAR_S and math.dist(c.position, d.position) < NEAR_M):
                 options.append((not same, late, j, i))
     out: dict[int, int] = {}
     for _, _, j, i in sorted(options):
