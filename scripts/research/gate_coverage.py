@@ -184,7 +184,7 @@ def rows_of(folder: Path, *, true_keypoints: bool) -> Iterator[Row]:
                     "side": f"{gate.name} {name}",
                     "minutes": report.observation.observed_s / 60,
                     "truth": true,
-                    "count": sum(one.counts for _, one in own),
+                    "count": sum(one.is_counted for _, one in own),
                     "low": total.confidence_interval.low if total.confidence_interval else None,
                     "high": total.confidence_interval.high if total.confidence_interval else None,
                     "lost": lost,
@@ -192,7 +192,7 @@ def rows_of(folder: Path, *, true_keypoints: bool) -> Iterator[Row]:
                         {
                             "doubts": crossing_doubts(one.trajectory, one.time_s, step_s),
                             "probability": round(one.probability, 4),
-                            "counts": one.counts,
+                            "counts": one.is_counted,
                             "real": j in happened,
                             "flags": list(one.trajectory.flags),
                         }

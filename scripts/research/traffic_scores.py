@@ -42,7 +42,7 @@ from skope.tracks.csv_file import TRACKS_CSV, read_tracks
 from skope.tracks.track import KMH_PER_MPS, Track, is_in_traffic
 from skope.traffic.conflicts import conflicts
 from skope.traffic.count_uncertainty import CountInterval
-from skope.traffic.gate_counts import ALL_CLASSES, expected
+from skope.traffic.gate_counts import ALL_CLASSES, confidence_interval
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.length_bins import bin_probabilities
 from skope.traffic.measure import measure
@@ -524,7 +524,7 @@ def expected_of(clip: ScoredClip, side: Mapping[str, Any], chosen: Sequence[bool
     direction = side_of(side, clip)
     kinds = told.unseen.kinds_at(total.gate, direction)[1:]
     most = partial(told.unseen.most, total.gate, direction, total.interval)
-    return expected(there, kinds, most, ALL_CLASSES, {name for kind in kinds for name in kind.classes})
+    return confidence_interval(there, kinds, most, ALL_CLASSES, {name for kind in kinds for name in kind.classes})
 
 
 def side_of(side: Mapping[str, Any], clip: ScoredClip) -> int:

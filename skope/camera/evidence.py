@@ -114,9 +114,9 @@ class CameraPrior:
 
     def __post_init__(self) -> None:
         count = len(self.of)
-        _floats(self, "beliefs", self.name, mean=(count,), covariance=(count, count))
+        _floats(self, "priors", self.name, mean=(count,), covariance=(count, count))
         if (np.linalg.eigvalsh(self.covariance) <= 0).any():
-            raise UserError(f"{_named('beliefs', self.name)}: covariance: expected a positive definite matrix")
+            raise UserError(f"{_named('priors', self.name)}: covariance: expected a positive definite matrix")
 
     @classmethod
     def of_fov(cls, fov_deg: float, sigma_deg: float, width: int) -> "CameraPrior":
