@@ -23,6 +23,7 @@ from skope.traffic.otc_classes import OTC_CLASSES
 from skope.traffic.report_remarks import interval_visibility
 from skope.traffic.speeds import SPEED_PERCENTILES
 from skope.traffic.traffic_report import TrafficReport
+from skope.types import Array
 
 TableRow = Sequence[Any]
 RECORDING_COLUMN: Final = " recording"
@@ -90,71 +91,92 @@ def _track_cells(track: Track) -> TableRow:
     return track.number, track.class_name, track.class_confidence
 
 
+_EVENT_COLUMNS: Final = (
+    "event time_s time sigma_s track class class_confidence place direction lane x y speed_kmh speed_sigma_kmh "
+    "front_s rear_s dwell_s probability remark deceleration_ms2 deceleration_sigma_ms2 otc_class length_m "
+    "length_sigma_m length_bin length_bin_probability"
+)
+
+
 def _events(report: TrafficReport) -> ReportTable:
-    def rows() -> Iterator[tuple[float, TableRow]]:
-        for crossing in report.crossings:
-            position = crossing.position.tolist() if report.metres else [crossing.position[0], -crossing.position[1]]
+    every = [*_crossing_events(report), *_visit_events(report), *_lane_change_events(report), *_braking_events(report)]
+    names = _EVENT_COLUMNS.split()
+
+    def rows() -> Iterator[TableRow]:
+        for event in sorted(every, key=lambda event: event["time_s"]):
+            cells = event | {"time": clock(report, event["time_s"])}
+            yield *(cells.get(name) for name in names), *_recording(report, event["time_s"])
+
+    return _table(f"{_EVENT_COLUMNS}{RECORDING_COLUMN if report.recordings else ''}", rows())
+
+
+def _event(event: str, time_s: float, track: Track, position: Array) -> dict[str, Any]:
+    """Return the cells that all events have: event, time, road user and position."""
+    who = dict(zip(("track", "class", "class_confidence"), _track_cells(track), strict=True))
+    return {"event": event, "time_s": time_s, **who, "x": float(position[0]), "y": float(position[1])}
+
+
+def _crossing_events(report: TrafficReport) -> Iterator[dict[str, Any]]:
+    for crossing in report.crossings:
+        position = crossing.position if report.metres else crossing.position * (1, -1)
+        cells = _event("gate", crossing.time_s, crossing.trajectory, position) | {
+            "sigma_s": crossing.sigma_s,
+            "place": crossing.gate,
+            "direction": crossing.direction_name,
+            "lane": crossing.lane,
+            "probability": crossing.probability,
+            "remark": crossing.uncertainty_flags,
+            **_length(report, crossing.trajectory),
+        }
+        if report.metres:
             speed_sigma = report.observation.total_sigma(crossing.speed_sigma, crossing.speed)
-            ends = (crossing.speed * KMH_PER_MPS, speed_sigma * KMH_PER_MPS, crossing.front_s, crossing.rear_s)
-            tail = (
-                *position,
-                *(ends if report.metres else (None,) * 4),
-                None,
-                crossing.probability,
-                crossing.uncertainty_flags,
-            )
-            tail = (*tail, *_length(report, crossing.trajectory))
-            head = (
-                "gate",
-                crossing.sigma_s,
-                *_track_cells(crossing.trajectory),
-                crossing.gate,
-                crossing.direction_name,
-                crossing.lane,
-            )
-            yield crossing.time_s, (*head, *tail)
-        for visit in report.visits:
-            borders = ("enter", visit.enter_s, None), ("leave", visit.leave_s, visit.dwell_s)
-            for (event, time_s, dwell), sigma in zip(borders, visit.sigmas_s, strict=True):
-                if not math.isnan(time_s):
-                    position = visit.trajectory.at(visit.trajectory.xy, time_s).tolist()
-                    where = (visit.zone, None, None, *position, None, None, None, None, dwell, None, None, *_NO_LENGTH)
-                    yield time_s, (event, sigma, *_track_cells(visit.trajectory), *where)
-        for change in report.lane_changes:
-            position = change.position.tolist()
-            lanes = (change.from_lane, change.to_lane, change.to_lane)
-            where = (*lanes, *position, *(None,) * 5, change.probability, None, *_NO_LENGTH)
-            yield change.time_s, ("lane change", None, *_track_cells(change.trajectory), *where)
-        for brake in report.brakings:
-            sigma = report.observation.total_sigma(brake.sigma, brake.deceleration)
-            remark = f"{brake.deceleration:.1f} m/s2 (sigma {sigma:.1f})"
-            where = (None, None, None, *brake.position.tolist(), *(None,) * 5, brake.probability, remark, *_NO_LENGTH)
-            yield brake.time_s, ("hard braking", None, *_track_cells(brake.trajectory), *where)
-
-    ordered = sorted(rows(), key=lambda pair: pair[0])
-    return _table(
-        "event time_s time sigma_s track class class_confidence place direction lane x y speed_kmh speed_sigma_kmh "
-        f"front_s rear_s dwell_s probability remark otc_class length_m length_sigma_m length_bin "
-        f"length_bin_probability{RECORDING_COLUMN if report.recordings else ''}",
-        ((row[0], time_s, clock(report, time_s), *row[1:], *_recording(report, time_s)) for time_s, row in ordered),
-    )
+            cells |= {
+                "speed_kmh": crossing.speed * KMH_PER_MPS,
+                "speed_sigma_kmh": speed_sigma * KMH_PER_MPS,
+                "front_s": crossing.front_s,
+                "rear_s": crossing.rear_s,
+            }
+        yield cells
 
 
-_NO_LENGTH: Final = (None,) * 5
+def _visit_events(report: TrafficReport) -> Iterator[dict[str, Any]]:
+    for visit in report.visits:
+        borders = ("enter", visit.enter_s, None), ("leave", visit.leave_s, visit.dwell_s)
+        for (event, time_s, dwell_s), sigma_s in zip(borders, visit.sigmas_s, strict=True):
+            if not math.isnan(time_s):
+                cells = _event(event, time_s, visit.trajectory, visit.trajectory.at(visit.trajectory.xy, time_s))
+                yield cells | {"sigma_s": sigma_s, "place": visit.zone, "dwell_s": dwell_s}
 
 
-def _length(report: TrafficReport, track: Track) -> TableRow:
-    """Return cells of a road user: OpenTrafficCam class, length and its standard deviation, bin and its probability."""
-    otc = OTC_CLASSES[track.class_name]
+def _lane_change_events(report: TrafficReport) -> Iterator[dict[str, Any]]:
+    for change in report.lane_changes:
+        lanes = {"place": change.from_lane, "direction": change.to_lane, "lane": change.to_lane}
+        cells = _event("lane change", change.time_s, change.trajectory, change.position)
+        yield cells | lanes | {"probability": change.probability}
+
+
+def _braking_events(report: TrafficReport) -> Iterator[dict[str, Any]]:
+    for brake in report.brakings:
+        yield _event("hard braking", brake.time_s, brake.trajectory, brake.position) | {
+            "probability": brake.probability,
+            "deceleration_ms2": brake.deceleration,
+            "deceleration_sigma_ms2": report.observation.total_sigma(brake.sigma, brake.deceleration),
+        }
+
+
+def _length(report: TrafficReport, track: Track) -> dict[str, Any]:
+    """Return cells of a road user: OpenTrafficCam class and, if it has a length, length and bin with their errors."""
+    cells: dict[str, Any] = {"otc_class": OTC_CLASSES[track.class_name]}
     if not report.metres or not has_length(track):
-        return otc, *_NO_LENGTH[1:]
+        return cells
     common = report.observation.common_scale_sigma
-    return (
-        otc,
-        track.length,
-        length_sigma_m(track, common),
-        *length_bin(track, report.site.traffic.length_bins_m, common),
-    )
+    name, probability = length_bin(track, report.site.traffic.length_bins_m, common)
+    return cells | {
+        "length_m": track.length,
+        "length_sigma_m": length_sigma_m(track, common),
+        "length_bin": name,
+        "length_bin_probability": probability,
+    }
 
 
 def _trajectories(report: TrafficReport) -> ReportTable:
