@@ -342,7 +342,7 @@ def _of_draw(camera: Camera, rng: np.random.Generator, traffic: Traffic, alone: 
         yield "vehicles", held(camera, from_traffic, gauge=True)
     if alone:
         return
-    whole = replace(measured, points=marked, beliefs=(from_traffic.belief("vehicles"),) if from_traffic else ())
+    whole = replace(measured, points=marked, priors=(from_traffic.prior("vehicles"),) if from_traffic else ())
     evidence = {"6 points": Evidence(SIZE, points=marked), "lengths and parallel lines": measured, "together": whole}
     for name, part in evidence.items():
         try:

@@ -344,7 +344,7 @@ def errors_of(scene: Scene) -> Errors:
                 continue
             off = float(np.linalg.norm((poses.position[i] - truth.box_3d.center)[:2]))
             places.append(off)
-            within.append(off <= float(radius_of(poses.covariance[i, :2, :2], UNCERTAINTY_LIMITS.place_coverage)))
+            within.append(off <= float(radius_of(poses.covariance[i, :2, :2], UNCERTAINTY_LIMITS.position_coverage)))
     labels = {(a.image_id, a.track_id): a for a in scene.file.annotations}
     ids = [image.id for image in scene.file.images]
     speeds = []

@@ -192,7 +192,7 @@ def rows_of(folder: Path, *, true_keypoints: bool) -> Iterator[Row]:
                     "side": f"{gate.name} {name}",
                     "minutes": report.observation.observed_s / 60,
                     "truth": true,
-                    "count": sum(crossing.counts for _, crossing in side_crossings),
+                    "count": sum(crossing.is_counted for _, crossing in side_crossings),
                     "low": total.confidence_interval.low if total.confidence_interval else None,
                     "high": total.confidence_interval.high if total.confidence_interval else None,
                     "lost": lost,
@@ -200,7 +200,7 @@ def rows_of(folder: Path, *, true_keypoints: bool) -> Iterator[Row]:
                         {
                             "doubts": crossing_doubts(crossing.trajectory, crossing.time_s, step_s),
                             "probability": round(crossing.probability, 4),
-                            "counts": crossing.counts,
+                            "counts": crossing.is_counted,
                             "real": j in happened,
                             "flags": list(crossing.trajectory.flags),
                         }

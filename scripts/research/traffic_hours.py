@@ -132,7 +132,7 @@ def make_tracks(
 def write_footage(folder: Path, times: Array, start_time: datetime, moved_s: float = math.inf) -> None:
     watched = Observation(
         times_s=times[times < moved_s],
-        moved_s=times[times >= moved_s],
+        camera_moved_s=times[times >= moved_s],
         source=f"{folder.name}.mp4",
         common_scale_sigma=0.01,
         camera=Camera.looking([0.0, -90.0, 25.0], yaw=math.pi / 2, pitch_down=0.3, size=(1280, 720)),

@@ -43,7 +43,7 @@ from skope.tracks.csv_file import TRACKS_CSV, read_tracks
 from skope.tracks.track import KMH_PER_MPS, Track, is_in_traffic
 from skope.traffic.conflicts import conflicts
 from skope.traffic.count_uncertainty import CountInterval
-from skope.traffic.gate_counts import ALL_CLASSES, expected
+from skope.traffic.gate_counts import ALL_CLASSES, confidence_interval
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.length_bins import bin_probabilities
 from skope.traffic.measure import measure
@@ -262,7 +262,7 @@ class ScoredClip:
 
     def distance(self, crossing: GateCrossing) -> float:
         """Return the distance from the camera, metres."""
-        return math.hypot(math.dist(crossing.place, self.eye[:2]), self.eye[2])
+        return math.hypot(math.dist(crossing.position, self.eye[:2]), self.eye[2])
 
 
 def paired(clip: ScoredClip) -> dict[int, int]:
@@ -276,7 +276,7 @@ def paired(clip: ScoredClip) -> dict[int, int]:
             if (c.gate, c.direction) != (d.gate, d.direction) or late > SAME_S:
                 continue
             same = owner == c.trajectory.number
-            if same or (late < NEAR_S and math.dist(c.place, d.place) < NEAR_M):
+            if same or (late < NEAR_S and math.dist(c.position, d.position) < NEAR_M):
                 options.append((not same, late, j, i))
     out: dict[int, int] = {}
     for _, _, j, i in sorted(options):
@@ -526,7 +526,7 @@ def expected_of(clip: ScoredClip, side: Mapping[str, Any], chosen: Sequence[bool
     direction = side_of(side, clip)
     kinds = report.unseen.kinds_at(total.gate, direction)[1:]
     most = partial(report.unseen.most, total.gate, direction, total.interval)
-    return expected(crossings, kinds, most, ALL_CLASSES, {name for kind in kinds for name in kind.classes})
+    return confidence_interval(crossings, kinds, most, ALL_CLASSES, {name for kind in kinds for name in kind.classes})
 
 
 def side_of(side: Mapping[str, Any], clip: ScoredClip) -> int:

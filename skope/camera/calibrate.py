@@ -110,7 +110,7 @@ def with_wrong_points(
             if not any(np.linalg.norm(best.blocks[i]) > 2.5 for i in wrong):
                 break
             starts = [best.at]
-        return max(tried, key=lambda one: one.log_odds)
+        return max(tried, key=lambda candidate: candidate.log_odds)
 
     none = _Hypothesis(frozenset(), fit, fit.log_evidence(scales))
     found, doubted = [none], _doubted(fit, len(evidence.points))
@@ -121,9 +121,9 @@ def with_wrong_points(
             for i in doubted
             if i not in best.wrong
         ]
-        further = [one for one in further if math.isfinite(one.fit.cost)]
+        further = [candidate for candidate in further if math.isfinite(candidate.fit.cost)]
         found += further
-        ahead = max(further, key=lambda one: one.log_odds, default=None)
+        ahead = max(further, key=lambda candidate: candidate.log_odds, default=None)
         if ahead is None or ahead.log_odds <= best.log_odds:
             break
         best = ahead
@@ -137,12 +137,16 @@ def _judged(
     best: _Hypothesis,
     found: Sequence[_Hypothesis],
 ) -> JudgedPoints:
-    share = np.exp(np.array([one.log_odds - best.log_odds for one in found]))
+    share = np.exp(np.array([candidate.log_odds - best.log_odds for candidate in found]))
     share /= share.sum()
     right = [term for i, term in enumerate(terms) if i not in best.wrong]
     fit = fit_terms(right, best.fit.at, unknown, evidence.size) if best.wrong else best.fit
-    others = [(one.fit, weight) for one, weight in zip(found, share.tolist(), strict=True) if one is not best]
-    spread = spread_around(fit, [one for one, _ in others], [weight for _, weight in others], unknown)
+    rivals = [
+        (candidate.fit, weight)
+        for candidate, weight in zip(found, share.tolist(), strict=True)
+        if candidate is not best
+    ]
+    spread = spread_around(fit, [rival_fit for rival_fit, _ in rivals], [weight for _, weight in rivals], unknown)
     names = [point.name for point in evidence.points]
     wrong = tuple(names[i] for i in sorted(best.wrong))
     return JudgedPoints(fit, wrong, _doubts(names, best, found, share), spread)
@@ -151,21 +155,22 @@ def _judged(
 def _doubts(names: Sequence[str], best: _Hypothesis, found: Sequence[_Hypothesis], share: Array) -> tuple[str, ...]:
     """Return sentences on points that may be wrong in addition to, or in place of, those of the most likely set."""
     chance = [
-        sum(weight for one, weight in zip(found, share, strict=True) if i in one.wrong) for i in range(len(names))
+        sum(weight for candidate, weight in zip(found, share, strict=True) if i in candidate.wrong)
+        for i in range(len(names))
     ]
-    others = [names[i] for i in range(len(names)) if chance[i] >= WRONG_POINTS.reported and i not in best.wrong]
+    suspects = [names[i] for i in range(len(names)) if chance[i] >= WRONG_POINTS.reported and i not in best.wrong]
     unsure = [names[i] for i in sorted(best.wrong) if chance[i] < 1 - WRONG_POINTS.reported]
-    if unsure and others:
+    if unsure and suspects:
         return (
             f"point {' and '.join(unsure)} contradicts the others and is left out, but they agree nearly as well "
-            f"without {' or '.join(others)}: mark these again",
+            f"without {' or '.join(suspects)}: mark these again",
         )
     if unsure:
         return (
             f"point {' and '.join(unsure)} contradicts the others and is left out, but may be right: mark it again",
         )
-    if others:
-        return (f"point {' or '.join(others)} may be wrong: the others agree better without it; mark it again",)
+    if suspects:
+        return (f"point {' or '.join(suspects)} may be wrong: the others agree better without it; mark it again",)
     return ()
 
 
@@ -237,10 +242,10 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = 
         UserError: The evidence does not determine the scale, or no camera agrees with it.
     """
     scaled = evidence.points or evidence.lengths or any(v.metres for v in evidence.verticals)
-    if not scaled and not any("z" in belief.of for belief in evidence.beliefs):
+    if not scaled and not any("z" in prior.of for prior in evidence.priors):
         raise UserError("calibration: the scale is unknown: mark points with positions or a known length")
     if 0 < len(evidence.points) < POINT_FIT.fewest_points and not (
-        evidence.lengths or evidence.parallels or evidence.beliefs
+        evidence.lengths or evidence.parallels or evidence.priors
     ):
         raise UserError(f"calibration: expected {POINT_FIT.fewest_points} points or more, got {len(evidence.points)}")
     unknown = tuple(name for name in CAMERA_PARAMETERS if len(evidence.points) >= 2 or name not in FREE_PARAMETERS)
@@ -294,9 +299,7 @@ def _residuals(terms: Sequence[ResidualTerm], camera: Camera) -> tuple[Residual,
 
 def _warnings(evidence: Evidence, calibration: SiteCalibration) -> tuple[str, ...]:
     out, places = [], np.array([point.place for point in evidence.points]).reshape(-1, 3)
-    if POINT_FIT.fewest_points <= len(places) < FIT_STARTS.checked_points and not (
-        evidence.lengths or evidence.beliefs
-    ):
+    if POINT_FIT.fewest_points <= len(places) < FIT_STARTS.checked_points and not (evidence.lengths or evidence.priors):
         out.append(
             f"{len(places)} points: a wrong one among them cannot be found; {FIT_STARTS.checked_points} or more "
             f"check each other"
@@ -328,14 +331,14 @@ def left_out_errors(evidence: Evidence, calibration: SiteCalibration) -> dict[st
     good = tuple(point for point in evidence.points if point.name not in calibration.outliers)
     out = {}
     for point in evidence.points:
-        others = tuple(one for one in good if one is not point)
-        if len(others) < POINT_FIT.fewest_points:
+        rest = tuple(good_point for good_point in good if good_point is not point)
+        if len(rest) < POINT_FIT.fewest_points:
             continue
-        if len(others) == len(good):
+        if len(rest) == len(good):
             out[point.name] = left_out_error(point, calibration)
             continue
         try:
-            without = calibrate(replace(evidence, points=others), start=calibration.camera, check=False)
+            without = calibrate(replace(evidence, points=rest), start=calibration.camera, check=False)
         except UserError:
             continue
         out[point.name] = left_out_error(point, without)
@@ -345,12 +348,12 @@ def left_out_errors(evidence: Evidence, calibration: SiteCalibration) -> dict[st
 def left_out_error(point: MarkedPoint, camera: UncertainCamera) -> LeftOutError:
     """Return the error of a point's position from its mark, with a camera that was fitted without the point."""
     height = float(point.place[2])
-    place = camera.places(point.pixel, height)
-    away = place - camera.camera.position
+    position = camera.places(point.pixel, height)
+    away = position - camera.camera.position
     rise = point.sigma_z_m * away[:2] / away[2] if away[2] else np.zeros(2)
     covariance = camera.place_covariance(point.pixel, height, point.sigma_px)
     covariance = covariance + point.sigma_m**2 * np.eye(2) + np.outer(rise, rise)
     return LeftOutError(
-        float(np.linalg.norm((place - point.place)[:2])),
-        float(radius_of(covariance, UNCERTAINTY_LIMITS.place_coverage)),
+        float(np.linalg.norm((position - point.place)[:2])),
+        float(radius_of(covariance, UNCERTAINTY_LIMITS.position_coverage)),
     )

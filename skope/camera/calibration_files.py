@@ -143,7 +143,7 @@ def read_opencv(path: Path) -> CameraCalibration:
     """
     import cv2
 
-    values = _one_camera(path, _storage(path))
+    values = _single_camera(path, _storage(path))
     lens_models.lens_model(path, values)  # reject unknown models first, because their intrinsics may differ
     K = _first(values, _K_NAMES)
     focal_and_center = values.get("intrinsics")
@@ -218,7 +218,7 @@ def _matrix(values: Mapping[str, Any]) -> Any:
         return values["data"]
 
 
-def _one_camera(path: Path, values: dict[str, Any]) -> dict[str, Any]:
+def _single_camera(path: Path, values: dict[str, Any]) -> dict[str, Any]:
     """Return the camera of a file; in Kalibr's it has a name. Raise UserError if there are several."""
     cameras = {key: value for key, value in values.items() if isinstance(value, dict) and "intrinsics" in value}
     if not cameras or _first(values, _K_NAMES) is not None:

@@ -22,7 +22,7 @@ class MarkingErrors:
 
     pixel: float = 1.5
     """Standard deviation of a point marked in an image, pixels per axis."""
-    place_m: float = 0.1
+    position_m: float = 0.1
     """Standard deviation of a position read off a map or surveyed, metres along x and y."""
     height_m: float = 0.03
     """Standard deviation of the road's height over its plane, metres."""
@@ -40,7 +40,7 @@ class MarkedPoint:
     place: Array
     """(3,) position in the world, metres."""
     sigma_px: float = MARKING_ERRORS.pixel
-    sigma_m: float = MARKING_ERRORS.place_m
+    sigma_m: float = MARKING_ERRORS.position_m
     """Standard deviation of x and y, metres."""
     sigma_z_m: float = MARKING_ERRORS.height_m
     """Standard deviation of z, metres; larger for points above the road with inaccurate heights."""
@@ -114,9 +114,9 @@ class CameraPrior:
 
     def __post_init__(self) -> None:
         count = len(self.of)
-        _floats(self, "beliefs", self.name, mean=(count,), covariance=(count, count))
+        _floats(self, "priors", self.name, mean=(count,), covariance=(count, count))
         if (np.linalg.eigvalsh(self.covariance) <= 0).any():
-            raise UserError(f"{_named('beliefs', self.name)}: covariance: expected a positive definite matrix")
+            raise UserError(f"{_named('priors', self.name)}: covariance: expected a positive definite matrix")
 
     @classmethod
     def of_fov(cls, fov_deg: float, sigma_deg: float, width: int) -> "CameraPrior":
@@ -168,7 +168,7 @@ class Evidence:
     lengths: tuple[MarkedLength, ...] = ()
     parallels: tuple[ParallelLines, ...] = ()
     verticals: tuple[Vertical, ...] = ()
-    beliefs: tuple[CameraPrior, ...] = ()
+    priors: tuple[CameraPrior, ...] = ()
 
 
 def _named(kind: str, name: str) -> str:
@@ -212,4 +212,4 @@ def marked_points(pixels: ArrayLike, places: ArrayLike, names: Iterable[str] = (
     """
     labels = list(names) or [str(i + 1) for i in range(len(np.asarray(pixels)))]
     rows = zip(np.asarray(pixels), np.asarray(places), labels, strict=True)
-    return tuple(MarkedPoint(pixel, place, name=label) for pixel, place, label in rows)
+    return tuple(MarkedPoint(pixel, position, name=label) for pixel, position, label in rows)

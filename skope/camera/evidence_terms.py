@@ -51,10 +51,10 @@ def covariances_of(terms: Sequence[ResidualTerm], camera: Camera) -> list[Array]
     if points:
         places = np.array([point.place for point in points])
         J = _finite(slopes(lambda step: camera.project(places + step)[0], np.zeros(3), 0.01))
-        of_place = np.array([[point.sigma_m, point.sigma_m, point.sigma_z_m] for point in points])
-        of_mark = np.array([point.sigma_px for point in points])
-        J = J * of_place[:, None]
-        spread = iter(J @ J.swapaxes(1, 2) + of_mark[:, None, None] ** 2 * np.eye(2))
+        position_sigmas = np.array([[point.sigma_m, point.sigma_m, point.sigma_z_m] for point in points])
+        mark_sigmas = np.array([point.sigma_px for point in points])
+        J = J * position_sigmas[:, None]
+        spread = iter(J @ J.swapaxes(1, 2) + mark_sigmas[:, None, None] ** 2 * np.eye(2))
     return [term.covariance(camera) if term.point is None else next(spread) for term in terms]
 
 
@@ -116,11 +116,11 @@ def _vertical_term(vertical: Vertical) -> ResidualTerm:
 
     def line(camera: Camera) -> tuple[Array, Array]:
         """Return the unit vector of the vertical in the image near its top, and the pixels per metre there."""
-        place = intersect_ground(camera, foot)
+        position = intersect_ground(camera, foot)
         ray = camera.rays(top)[0] @ camera.T_camera_world[:3, :3]
-        flat = float(np.linalg.norm((place - camera.position)[:2])) / max(float(np.linalg.norm(ray[:2])), 1e-9)
+        flat = float(np.linalg.norm((position - camera.position)[:2])) / max(float(np.linalg.norm(ray[:2])), 1e-9)
         height = vertical.metres or max(float(camera.position[2] + flat * ray[2]), 0.1)
-        ends, _, _ = camera.project(place + np.array([[0, 0, height - 0.05], [0, 0, height + 0.05], [0, 0, height]]))
+        ends, _, _ = camera.project(position + np.array([[0, 0, height - 0.05], [0, 0, height + 0.05], [0, 0, height]]))
         return (ends[1] - ends[0]) / 0.1, ends[2]
 
     def residual(camera: Camera) -> Array:
@@ -132,10 +132,10 @@ def _vertical_term(vertical: Vertical) -> ResidualTerm:
 
     def covariance(camera: Camera) -> Array:
         a_metre, _ = line(camera)
-        both = 2 * vertical.sigma_px**2
+        marks_variance = 2 * vertical.sigma_px**2
         if vertical.metres is None:
-            return np.array([[both]])
-        return np.diag([both, both + float(a_metre @ a_metre) * vertical.sigma_m**2])
+            return np.array([[marks_variance]])
+        return np.diag([marks_variance, marks_variance + float(a_metre @ a_metre) * vertical.sigma_m**2])
 
     return ResidualTerm("vertical", vertical.name, residual, covariance)
 
@@ -154,9 +154,7 @@ def terms_of(evidence: Evidence) -> list[ResidualTerm]:
     out += [_length_term(length) for length in evidence.lengths]
     out += [_parallel_term(group) for group in evidence.parallels]
     out += [_vertical_term(vertical) for vertical in evidence.verticals]
-    out += [
-        _gaussian_term("belief", belief.name, belief.of, belief.mean, belief.covariance) for belief in evidence.beliefs
-    ]
+    out += [_gaussian_term("belief", prior.name, prior.of, prior.mean, prior.covariance) for prior in evidence.priors]
     for name, mean, sigma in LENS_PRIORS:
         center = math.log(evidence.size[0]) if mean is None else mean
         out.append(_gaussian_term("lens", name, (name,), np.array([center]), np.array([[sigma**2]])))

@@ -62,10 +62,11 @@ def lens_model(path: Path, values: Mapping[str, Any]) -> str | None:
             f"{path}: {unknown[0]}: {_shown(values[unknown[0]])} is no lens model that skope reads: expected one of "
             f"{', '.join(FISHEYE_NAMES)} (fisheye) or {', '.join(BROWN_NAMES)} (Brown)"
         )
-    for key, other in zip(found, list(found)[1:], strict=False):
-        if found[key] != found[other]:
+    for key, next_key in zip(found, list(found)[1:], strict=False):
+        if found[key] != found[next_key]:
             raise UserError(
-                f"{path}: {key}: {_shown(values[key])} contradicts {other}: {_shown(values[other])}; expected one model"
+                f"{path}: {key}: {_shown(values[key])} contradicts {next_key}: {_shown(values[next_key])}; expected "
+                "one model"
             )
     return next(iter(found.values()), None)
 

@@ -39,9 +39,9 @@ class CameraNumerics:
 CAMERA_NUMERICS: Final = CameraNumerics()
 
 
-def same_aspect(size: tuple[int, int], other: tuple[int, int]) -> bool:
+def same_aspect(first: tuple[int, int], second: tuple[int, int]) -> bool:
     """Return whether two images (width, height) have the same aspect ratio, within 1%."""
-    return abs(size[0] * other[1] - other[0] * size[1]) <= CAMERA_NUMERICS.same_aspect * size[0] * other[1]
+    return abs(first[0] * second[1] - second[0] * first[1]) <= CAMERA_NUMERICS.same_aspect * first[0] * second[1]
 
 
 def _first_positive_root(coefficients: list[float]) -> float:

@@ -49,48 +49,51 @@ def likely_cameras(
     """
     scales = SEARCH_SCALES[[CAMERA_PARAMETERS.index(name) for name in unknown]]
     fits = [fit, *(fit_terms(terms, at, unknown, evidence.size) for at in _starts(evidence))]
-    fits = sorted((one for one in fits if math.isfinite(one.cost)), key=lambda one: -one.log_evidence(scales))
+    fits = sorted(
+        (candidate for candidate in fits if math.isfinite(candidate.cost)),
+        key=lambda candidate: -candidate.log_evidence(scales),
+    )
     apart: list[WeightedFit] = []
-    for one in fits:
+    for candidate in fits:
         if all(
-            (np.abs(_between(one, other, CAMERA_PARAMETERS)) > OTHER_CAMERAS.same_camera * SEARCH_SCALES).any()
-            for other in apart
+            (np.abs(_between(candidate, kept, CAMERA_PARAMETERS)) > OTHER_CAMERAS.same_camera * SEARCH_SCALES).any()
+            for kept in apart
         ):
-            apart.append(one)
-    odds = np.array([one.log_evidence(scales) for one in apart])
+            apart.append(candidate)
+    odds = np.array([kept.log_evidence(scales) for kept in apart])
     chance = np.exp(odds - odds.max())
     return apart, chance / chance.sum()
 
 
 def spread_around(
-    own: WeightedFit, others: Sequence[WeightedFit], chances: Sequence[float], unknown: Sequence[str]
+    base: WeightedFit, rivals: Sequence[WeightedFit], chances: Sequence[float], unknown: Sequence[str]
 ) -> Array:
     """Return the covariance that other likely cameras add to that of one camera.
 
     Args:
-        own: The camera with the covariance to extend.
-        others: The other cameras that fit the evidence.
+        base: The camera with the covariance to extend.
+        rivals: The other cameras that fit the evidence.
         chances: Probability of each of them.
         unknown: Names in `CAMERA_PARAMETERS` of the P fitted parameters.
 
     Returns:
-        (P, P) additional covariance of `own`, in the parameters' units. It never reduces a variance.
+        (P, P) additional covariance of `base`, in the parameters' units. It never reduces a variance.
     """
     columns = [CAMERA_PARAMETERS.index(name) for name in unknown]
     scales = SEARCH_SCALES[columns]
     spread = np.zeros((len(columns), len(columns)))
-    for one, chance in zip(others, chances, strict=True):
-        away = _between(one, own, unknown)
-        spread += chance * (np.outer(away, away) + one.covariance(scales) - own.covariance(scales))
+    for rival, chance in zip(rivals, chances, strict=True):
+        away = _between(rival, base, unknown)
+        spread += chance * (np.outer(away, away) + rival.covariance(scales) - base.covariance(scales))
     # If another camera has a smaller variance in some direction, nothing is subtracted.
-    told, axes = np.linalg.eigh(spread / np.outer(scales, scales))
+    eigenvalues, axes = np.linalg.eigh(spread / np.outer(scales, scales))
     axes = axes * scales[:, None]
-    return np.asarray((axes * np.maximum(told, 0)) @ axes.T)
+    return np.asarray((axes * np.maximum(eigenvalues, 0)) @ axes.T)
 
 
-def _between(one: WeightedFit, other: WeightedFit, names: Sequence[str]) -> Array:
+def _between(first: WeightedFit, second: WeightedFit, names: Sequence[str]) -> Array:
     """Return (P,) parameter differences of two cameras; differences of yaw are wrapped to half a turn."""
-    away = (one.at - other.at)[[CAMERA_PARAMETERS.index(name) for name in names]]
+    away = (first.at - second.at)[[CAMERA_PARAMETERS.index(name) for name in names]]
     return np.where(np.array(names) == "yaw", (away + math.pi) % (2 * math.pi) - math.pi, away)
 
 

@@ -24,7 +24,7 @@ GEOGRAPHIC_COLUMNS: Final = ("column", "row", "longitude", "latitude")
 """Columns of a file with longitude and latitude."""
 DEFAULT_SIGMAS: Final = {
     "sigma_px": MARKING_ERRORS.pixel,
-    "sigma_m": MARKING_ERRORS.place_m,
+    "sigma_m": MARKING_ERRORS.position_m,
     "sigma_z_m": MARKING_ERRORS.height_m,
 }
 """Columns of standard deviations, with their defaults."""
@@ -57,7 +57,7 @@ class PointFile:
     world: Mapping[str, Any] | None = None
     """Map position of the world's (0, 0), for the camera's file; None: the file's own coordinates are the world's.
     """
-    said: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     """Sentences for the user on these coordinates."""
 
 
@@ -90,15 +90,15 @@ def _table(path: Path) -> PointFile:
             values[name][k] = _number(path, f"line {k + 2}: {name}", row[name])
     labels = [(row.get("name") or "").strip() or str(k) for k, row in enumerate(rows, start=1)]
     z = values["z"] if "z" in values else np.zeros(len(rows))
-    world, said = None, tuple[str, ...]()
+    world, notes = None, tuple[str, ...]()
     if geographic:
         xy, world = _from_wgs84(path, values["longitude"], values["latitude"])
-        said = ("positions are metres east and north of the points' centre; the file has its longitude and latitude",)
+        notes = ("positions are metres east and north of the points' centre; the file has its longitude and latitude",)
     else:
         xy = np.column_stack([values["x"], values["y"]])
     pixels = np.column_stack([values["column"], values["row"]])
     sigmas = {name: values.get(name, np.full(len(rows), default)) for name, default in DEFAULT_SIGMAS.items()}
-    return _made(path, labels, pixels, np.column_stack([xy, z]), sigmas, world, said)
+    return _made(path, labels, pixels, np.column_stack([xy, z]), sigmas, world, notes)
 
 
 def _from_wgs84(path: Path, longitude: Array, latitude: Array) -> tuple[Array, Mapping[str, Any]]:
@@ -146,18 +146,18 @@ def _otvision(path: Path) -> PointFile:
         "epsg": (32700 if south else 32600) + int(zone_half[:-1]),
         "scale": round(scale, 7),
     }
-    said = [
+    notes = [
         f"UTM zone {zone_half}: the world's (0, 0) is at easting {origin[0]:.0f}, northing {origin[1]:.0f}; the points "
         "have no heights: the road is taken to be a plane"
     ]
     if abs(scale - 1) > POINT_FILE_LIMITS.stretched:
-        said.append(
+        notes.append(
             f"far from the middle of zone {zone_half}: a metre on the road is {scale:.5f} m on the map; distances "
             f"and speeds are too {'large' if scale > 1 else 'small'} by {abs(scale - 1):.2%}"
         )
     places = np.column_stack([values[:, 2:] - origin, np.zeros(len(values))])
     sigmas = {name: np.full(len(values), default) for name, default in DEFAULT_SIGMAS.items()}
-    return _made(path, list(document), values[:, :2], places, sigmas, world, tuple(said))
+    return _made(path, list(document), values[:, :2], places, sigmas, world, tuple(notes))
 
 
 # --------------------------------------------------------------------------------------------------------------- both
@@ -170,7 +170,7 @@ def _made(
     places: Array,
     sigmas: Mapping[str, Array],
     world: Mapping[str, Any] | None,
-    said: tuple[str, ...],
+    notes: tuple[str, ...],
 ) -> PointFile:
     for k, name in enumerate(names):
         if name in names[:k]:
@@ -186,11 +186,11 @@ def _made(
     points = []
     for k, name in enumerate(names):
         try:
-            own = {key: float(values[k]) for key, values in sigmas.items()}
-            points.append(MarkedPoint(pixels[k], places[k], name=name, **own))
+            point_sigmas = {key: float(values[k]) for key, values in sigmas.items()}
+            points.append(MarkedPoint(pixels[k], places[k], name=name, **point_sigmas))
         except UserError as error:
             raise UserError(f"{path}: {error}") from None
-    return PointFile(points=tuple(points), world=world, said=said)
+    return PointFile(points=tuple(points), world=world, notes=notes)
 
 
 def _number(path: Path, field: str, value: Any) -> float:

@@ -19,7 +19,7 @@ CAMERA_PARAMETERS: Final = ("focal", "k1", "x", "y", "z", "pitch", "roll", "yaw"
 """Logarithm of the focal length in pixels, first coefficient of the radial distortion, position (metres), downward
 pitch, roll and yaw (radians) of a camera.
 """
-_OTHER_NAMES: Final = {"log_focal": "focal", "log_height": "z"}
+_NAMES_IN_FILES: Final = {"log_focal": "focal", "log_height": "z"}
 """Names in files of parameters estimated from vehicles. The logarithm of the height is converted to z."""
 PARAMETER_STEPS: Final = dict(zip(CAMERA_PARAMETERS, (1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-6), strict=True))
 """Steps of numerical derivatives."""
@@ -29,7 +29,7 @@ PARAMETER_STEPS: Final = dict(zip(CAMERA_PARAMETERS, (1e-5, 1e-5, 1e-4, 1e-4, 1e
 class UncertaintyLimits:
     """Settings for converting a camera's uncertainty to errors of positions and distances."""
 
-    place_coverage: float = 0.9
+    position_coverage: float = 0.9
     """Nominal coverage of the stated error of a position."""
     beside_m: float = 0.5
     """Half length of the segment over which the road's scale error is computed, metres."""
@@ -80,14 +80,14 @@ class UncertainCamera:
             raise UserError(f"covariance: matrix: expected {len(names)} rows of {len(names)} finite numbers") from None
         units = np.array([camera.position[2] if name == "log_height" else 1.0 for name in names])
         return UncertainCamera(
-            camera, tuple(str(_OTHER_NAMES.get(name, name)) for name in names), matrix * np.outer(units, units)
+            camera, tuple(str(_NAMES_IN_FILES.get(name, name)) for name in names), matrix * np.outer(units, units)
         )
 
     def covariance_dict(self) -> dict[str, Any]:
         """Return the covariance as `from_dict` reads it."""
         return {"of": list(self.parameters), "matrix": self.covariance.tolist()}
 
-    def belief(self, name: str) -> CameraPrior:
+    def prior(self, name: str) -> CameraPrior:
         """Return the camera and its covariance as evidence for another calibration."""
         which = [CAMERA_PARAMETERS.index(parameter) for parameter in self.parameters]
         return CameraPrior(self.parameters, values_of(self.camera)[which], self.covariance, name)
@@ -138,7 +138,7 @@ class UncertainCamera:
             height: z of the plane, metres.
             sigma_px: Standard deviation of the pixels per axis.
         """
-        return radius_of(self.place_covariance(pixels, height, sigma_px), UNCERTAINTY_LIMITS.place_coverage)
+        return radius_of(self.place_covariance(pixels, height, sigma_px), UNCERTAINTY_LIMITS.position_coverage)
 
     def covariance_at(self, places: ArrayLike, slope: ArrayLike = (0.0, 0.0)) -> Array:
         """Return the covariance (..., 2, 2) of positions (..., 3) on the road from the camera's error, square metres.
@@ -224,8 +224,8 @@ def moved_camera(camera: Camera, steps: Mapping[str, float]) -> Camera:
     focal, k1, x, y, z, pitch, roll, yaw = values.tolist()
     lens = camera.distortion
     if k1 and "k1" in steps:
-        others = (0.0, 0.0, 0.0) if lens.model == "none" else lens.coefficients[1:]
-        lens = Distortion("brown" if lens.model == "none" else lens.model, (k1, *others))
+        coefficients = (0.0, 0.0, 0.0) if lens.model == "none" else lens.coefficients[1:]
+        lens = Distortion("brown" if lens.model == "none" else lens.model, (k1, *coefficients))
     K = camera.K.copy()
     K[:2, :2] *= math.exp(focal) / K[0, 0]
     pose = Camera.looking([x, y, z], yaw=yaw, pitch_down=pitch, roll=roll).T_camera_world
@@ -264,4 +264,4 @@ def slopes(of: Callable[[Array], Array], at: Array, step: float) -> Array:
     Returns:
         (..., U) derivatives, the numbers along the last axis.
     """
-    return np.stack([(of(at + one) - of(at - one)) / (2 * step) for one in step * np.eye(len(at))], axis=-1)
+    return np.stack([(of(at + shift) - of(at - shift)) / (2 * step) for shift in step * np.eye(len(at))], axis=-1)

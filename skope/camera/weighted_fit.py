@@ -67,15 +67,15 @@ class WeightedFit:
 
         Directions without evidence get a large variance. `scales` (P,) are the scales of the parameters.
         """
-        told, axes = np.linalg.eigh((self.J * scales).T @ (self.J * scales))
+        eigenvalues, axes = np.linalg.eigh((self.J * scales).T @ (self.J * scales))
         axes = axes * scales[:, None]
-        return np.asarray((axes / np.maximum(told, FIT_STARTS.least_information)) @ axes.T)
+        return np.asarray((axes / np.maximum(eigenvalues, FIT_STARTS.least_information)) @ axes.T)
 
     def log_evidence(self, scales: Array) -> float:
         """Return the log marginal likelihood of the evidence, up to a constant (Laplace's approximation)."""
-        told = np.linalg.eigvalsh((self.J * scales).T @ (self.J * scales))
+        eigenvalues = np.linalg.eigvalsh((self.J * scales).T @ (self.J * scales))
         return float(
-            -self.cost / 2 + self.log_weights - np.log(np.maximum(told, FIT_STARTS.least_information)).sum() / 2
+            -self.cost / 2 + self.log_weights - np.log(np.maximum(eigenvalues, FIT_STARTS.least_information)).sum() / 2
         )
 
 

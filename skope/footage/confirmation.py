@@ -68,8 +68,8 @@ class ExpectedSizes:
         """Return whether a vehicle may have this size at its position; also True if the expected size is unknown."""
         if not self._enough:
             return True
-        *place, size = sample
-        at = np.array([1.0, *place])
+        *position, size = sample
+        at = np.array([1.0, *position])
         expected = float(at @ self._parameters)
         spread = CONFIRMATION_LIMITS.size_sigmas * float(np.sqrt(at @ self._covariance @ at))
         return (
@@ -153,9 +153,9 @@ class Confirmation:
 
     def add(self, time_s: float, found: Sequence[Found]) -> None:
         """Add the detections of the next frame; confident ones choose their vehicles first."""
-        sure = [one.score > self._sure for one in found]
+        sure = [detection.score > self._sure for detection in found]
         numbers = self._links.add(time_s, found, sure)
-        rectangles = box_math.xywh_to_xyxy(np.array([one.bbox for one in found]).reshape(-1, 4))
+        rectangles = box_math.xywh_to_xyxy(np.array([detection.bbox for detection in found]).reshape(-1, 4))
         for i, number in enumerate(numbers.tolist()):
             vehicle = self._vehicles.setdefault(number, _Vehicle())
             vehicle.see(time_s, rectangles[i], sure=sure[i], interpolated=found[i].interpolated)
@@ -176,12 +176,15 @@ class Confirmation:
 
         Vehicles are numbered in the order of their first detection.
         """
-        seen = {i: one for i, one in self._vehicles.items() if one.sure >= self._fewest}
-        sizes = ExpectedSizes([one.samples for one in seen.values() if one.moved > CONFIRMATION_LIMITS.moving_sizes])
+        seen = {i: vehicle for i, vehicle in self._vehicles.items() if vehicle.sure >= self._fewest}
+        sizes = ExpectedSizes(
+            [vehicle.samples for vehicle in seen.values() if vehicle.moved > CONFIRMATION_LIMITS.moving_sizes]
+        )
         stay = {
             i
-            for i, one in seen.items()
-            if one.moved > CONFIRMATION_LIMITS.standing_sizes or sizes.allow((*one.samples[0][:2], one.size))
+            for i, vehicle in seen.items()
+            if vehicle.moved > CONFIRMATION_LIMITS.standing_sizes
+            or sizes.allow((*vehicle.samples[0][:2], vehicle.size))
         }
         constant = {i for i in stay if seen[i].sure > CONFIRMATION_LIMITS.high_share * seen[i].found}
         names = {number: name for name, number in enumerate(sorted(stay))}

@@ -88,7 +88,7 @@ def with_frames_between(
             if len(known) != len(vehicles):
                 known = [next(names) for _ in vehicles]
             names = itertools.count(max([0, *known]) + 1)
-            vehicles = [replace(one, track_id=name) for one, name in zip(vehicles, known, strict=True)]
+            vehicles = [replace(vehicle, track_id=name) for vehicle, name in zip(vehicles, known, strict=True)]
             yield frame[0], vehicles, True
         elif len(since) > every:
             between, vehicles = _between(since, vehicles, find(frame), names)
@@ -110,7 +110,7 @@ def _between(
     pairs = _same(first, ahead, last)
     gone = sorted(set(range(len(first))) - {i for i, _ in pairs})
     before = {j: first[i].track_id for i, j in pairs}
-    last = [replace(one, track_id=before[j] if j in before else next(names)) for j, one in enumerate(last)]
+    last = [replace(vehicle, track_id=before[j] if j in before else next(names)) for j, vehicle in enumerate(last)]
     ways = [
         *((_merged(ahead[i], back[j][::-1]), first[i], last[j]) for i, j in pairs),
         *((ahead[i], first[i], first[i]) for i in gone),
@@ -119,12 +119,12 @@ def _between(
     out = []
     for k, (image, _) in enumerate(frames[1:-1], start=1):
         share = k / (len(frames) - 1)
-        there = [
-            place.result(image, two, (1 - share) * one.score + share * two.score)
-            for way, one, two in ways
-            if (place := way[k]) is not None
+        shown = [
+            position.result(image, end, (1 - share) * start.score + share * end.score)
+            for way, start, end in ways
+            if (position := way[k]) is not None
         ]
-        out.append((image, [result for result in there if result is not None], False))
+        out.append((image, [result for result in shown if result is not None], False))
     return out, last
 
 
@@ -163,8 +163,8 @@ class _Place:
         if (box[2:] - box[:2]).min() < KEY_FRAME_LIMITS.smallest_px:
             return None
         bbox = box_math.xyxy_to_xywh(box[None])[0]
-        there = replace(like, image_id=image.id, bbox=bbox, score=score, interpolated=True)
-        return replace(there, keypoints=self.keypoints) if isinstance(there, Result) else there
+        placed = replace(like, image_id=image.id, bbox=bbox, score=score, interpolated=True)
+        return replace(placed, keypoints=self.keypoints) if isinstance(placed, Result) else placed
 
 
 def _keypoints(result: AnyResult) -> Array:
@@ -185,10 +185,10 @@ def _followed(grey: Sequence[Pixels], vehicles: Sequence[AnyResult]) -> list[Way
         for i, old in enumerate(points):
             new = moved[begin : begin + len(old)]
             begin += len(old)
-            there = ~np.isnan(new[:, 0])
-            place = _step(ways[i][-1], old[there], new[there])
-            ways[i].append(place)
-            points[i] = _NO_POINTS if place is None else new[there]
+            tracked = ~np.isnan(new[:, 0])
+            position = _step(ways[i][-1], old[tracked], new[tracked])
+            ways[i].append(position)
+            points[i] = _NO_POINTS if position is None else new[tracked]
     return ways
 
 
@@ -207,7 +207,7 @@ def _flow(before: Pixels, after: Pixels, points: Floats32) -> Floats32:
     if not len(points):
         return points
     follow: Any = cv2.calcOpticalFlowPyrLK  # its type hints require an output array
-    there, found, _ = follow(
+    ahead, found, _ = follow(
         before,
         after,
         points[:, None],
@@ -216,37 +216,37 @@ def _flow(before: Pixels, after: Pixels, points: Floats32) -> Floats32:
         maxLevel=KEY_FRAME_LIMITS.pyramid_levels,
     )
     again, found_again, _ = follow(
-        after, before, there, None, winSize=KEY_FRAME_LIMITS.window_px, maxLevel=KEY_FRAME_LIMITS.pyramid_levels
+        after, before, ahead, None, winSize=KEY_FRAME_LIMITS.window_px, maxLevel=KEY_FRAME_LIMITS.pyramid_levels
     )
     away = np.linalg.norm(again[:, 0] - points, axis=1)
     good = (found[:, 0] > 0) & (found_again[:, 0] > 0) & (away < KEY_FRAME_LIMITS.round_trip_px)
-    return np.where(good[:, None], there[:, 0], np.float32(np.nan))
+    return np.where(good[:, None], ahead[:, 0], np.float32(np.nan))
 
 
-def _step(place: _Place | None, old: Floats32, new: Floats32) -> _Place | None:
+def _step(position: _Place | None, old: Floats32, new: Floats32) -> _Place | None:
     """Move a vehicle as most of its points move; None if they are too few."""
-    if place is None or len(old) < KEY_FRAME_LIMITS.fewest_points:
+    if position is None or len(old) < KEY_FRAME_LIMITS.fewest_points:
         return None
     aside = max(1.0, KEY_FRAME_LIMITS.deviation_share * float(np.ptp(old, axis=0).max()))
     motion: Any
     motion, agreeing = cv2.estimateAffinePartial2D(old, new, method=cv2.RANSAC, ransacReprojThreshold=aside)
-    return place.moved(motion) if motion is not None and agreeing.sum() >= KEY_FRAME_LIMITS.fewest_points else None
+    return position.moved(motion) if motion is not None and agreeing.sum() >= KEY_FRAME_LIMITS.fewest_points else None
 
 
 def _same(first: Sequence[AnyResult], ahead: Sequence[Way], last: Sequence[AnyResult]) -> list[tuple[int, int]]:
     """Return pairs of road users of the first key frame, as far as they were followed, and of the same category in the
     last one."""
     out: list[tuple[int, int]] = []
-    for category in sorted({one.category_id for one in last}):
-        before = [i for i, one in enumerate(first) if one.category_id == category]
-        after = [j for j, one in enumerate(last) if one.category_id == category]
+    for category in sorted({result.category_id for result in last}):
+        before = [i for i, result in enumerate(first) if result.category_id == category]
+        after = [j for j, result in enumerate(last) if result.category_id == category]
         if not before:
             continue
-        ends = np.array([[place for place in ahead[i] if place is not None][-1].box for i in before])
-        there = box_math.xywh_to_xyxy(np.array([last[j].bbox for j in after]))
+        ends = np.array([[position for position in ahead[i] if position is not None][-1].box for i in before])
+        last_boxes = box_math.xywh_to_xyxy(np.array([last[j].bbox for j in after]))
         out += [
             (before[i], after[j])
-            for i, j in cheapest_pairs(1 - box_math.iou(ends, there), 1 - KEY_FRAME_LIMITS.same_iou)
+            for i, j in cheapest_pairs(1 - box_math.iou(ends, last_boxes), 1 - KEY_FRAME_LIMITS.same_iou)
         ]
     return out
 
@@ -258,6 +258,6 @@ def _merged(ahead: Way, back: Way) -> Way:
     assert last is not None
     shares = np.linspace(0, 1, len(ahead)).tolist()
     return [
-        first.blended(last, share) if one is None or two is None else one.blended(two, share)
-        for one, two, share in zip(ahead, back, shares, strict=True)
+        first.blended(last, share) if forward is None or backward is None else forward.blended(backward, share)
+        for forward, backward, share in zip(ahead, back, shares, strict=True)
     ]

@@ -63,7 +63,7 @@ class LiveDetectorSelector:
     @property
     def files(self) -> tuple[Path, ...]:
         """Files of all candidate detectors."""
-        return tuple(path for one in self._candidates for path in one.files)
+        return tuple(path for candidate in self._candidates for path in candidate.files)
 
     @property
     def scheme(self) -> Scheme:
@@ -84,7 +84,7 @@ class LiveDetectorSelector:
         """Time the detectors on the first frame, report the selected one, and yield its results frame by frame."""
         start = list(itertools.islice(images, 1))
         if start:
-            rates = [_rate(one, *start[0]) for one in self._candidates]
+            rates = [_rate(candidate, *start[0]) for candidate in self._candidates]
             start += itertools.islice(images, 1)
             self._choose(rates, self._sent(start))
         yield from self._candidates[0].each(itertools.chain(start, images))
@@ -104,7 +104,9 @@ class LiveDetectorSelector:
         """Select the detector to run."""
         fastest = max(range(len(rates)), key=lambda i: rates[i])
         chosen = 0 if sent is None else next((i for i, rate in enumerate(rates) if rate >= sent), fastest)
-        each = ", ".join(f"{one.name} {rate:.1f}" for one, rate in zip(self._candidates, rates, strict=True))
+        each = ", ".join(
+            f"{candidate.name} {rate:.1f}" for candidate, rate in zip(self._candidates, rates, strict=True)
+        )
         choice = f": {self._candidates[chosen].name} runs (--checkpoint names another)" if len(rates) > 1 else ""
         came = "" if sent is None else f"the camera sends {sent:.1f} frames/s; "
         missed = "" if sent is None or rates[chosen] >= sent else f"; {1 - rates[chosen] / sent:.0%} are passed over"

@@ -133,7 +133,7 @@ def _drawn(job: PredictJob, progress: Progress, kept: KeepRule, scheme: Scheme) 
         if row is None:
             return
         if row["image"]["id"] == image.id:  # images that could not be read have no row
-            found, others = apart(map(coco.any_result_from_dict, kept(row)))
-            shown = blurred(pixels, found, others) if job.blur else pixels
-            yield image, draw.results(shown, found, others, scheme=scheme)
+            found, road_users = apart(map(coco.any_result_from_dict, kept(row)))
+            shown = blurred(pixels, found, road_users) if job.blur else pixels
+            yield image, draw.results(shown, found, road_users, scheme=scheme)
             row = next(rows, None)

@@ -50,7 +50,7 @@ from skope.tracking.box_links import LINK_LIMITS
 from skope.types import Pixels
 from skope.video.footage import Footage
 
-_SWAY_PROCESSES: Final = 4
+_SHAKE_PROCESSES: Final = 4
 """Maximum number of processes that measure camera shake beside a detector that runs on every frame. The number of
 processors also limits it. With fewer, a GPU would wait."""
 
@@ -94,25 +94,25 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     elif done:
         console.say(f"{job.footage.name}: resuming after frame {done}")
     bars = console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name)
-    told = _tell_notes(job.footage, 0, console)
+    reported = _report_notes(job.footage, 0, console)
     with bars as bar, _ended_by_terminate(job.footage):
         bar.update(done)
         try:
             with closing(prediction.frames()) as frames:
                 for image, _ in frames:
                     bar.update(image.id - bar.n)
-                    told = _tell_notes(job.footage, told, console)
+                    reported = _report_notes(job.footage, reported, console)
         except KeyboardInterrupt:
             if not job.footage.live:
                 raise
             console.say(f"{job.footage.name}: stopped after {len(prediction.images)} images")
-    _tell_notes(job.footage, told, console)
+    _report_notes(job.footage, reported, console)
     return prediction.write(console)
 
 
-def _tell_notes(footage: Footage, told: int, console: Console) -> int:
-    """Report the notes on the footage from number `told` on; return the number of notes."""
-    for note in footage.notes[told:]:
+def _report_notes(footage: Footage, reported: int, console: Console) -> int:
+    """Report the notes on the footage from number `reported` on; return the number of notes."""
+    for note in footage.notes[reported:]:
         console.warn(note)
     return len(footage.notes)
 
@@ -165,21 +165,21 @@ class Prediction:
         job, last = self._job, self.last
         if self.killed:
             return
-        looks, sway = ViewSamples(self._looks[-1][0] if self._looks else None), _sway_watch(job, last)
+        looks, shake = ViewSamples(self._looks[-1][0] if self._looks else None), _shake_estimator(job, last)
         for bare, found, key in found_in(
             job,
             self._detector,
             last=last,
             last_key=self._last_key,
             names=self._last_numbers,
-            watched=(looks, sway, *watched),
+            watched=(looks, shake, *watched),
         ):
             image = with_camera(bare, job.camera)
             start_time = {} if job.footage.start_time is None else {START_TIME_KEY: job.footage.start_time.isoformat()}
             row = {**coco.image_to_dict(image), **start_time}
             entry = {"image": row, "results": list(map(coco.result_to_dict, found))}
             look = looks.taken.pop(image.id, None)
-            motion = sway.taken(image.id)
+            motion = shake.taken(image.id)
             skipped = list(job.footage.skipped)
             measured = {"look": look, "motion": motion_to_row(motion)}
             self._progress.add({**entry, "skipped": skipped, "key": key, **measured})
@@ -212,15 +212,15 @@ class Prediction:
         changed = record.view_changes(looked) if job.footage.clip else []
         if changed:
             changed = with_homographies(job.footage, changed, images[-1].time_s or 0.0)
-        sways = record.motion(changed) if job.footage.clip else None
+        shake = record.motion(changed) if job.footage.clip else None
         for change in changed:
             console.result(f"{job.footage.name}: {change}")
-        if sways:
-            console.result(f"{job.footage.name}: {sways}")
+        if shake:
+            console.result(f"{job.footage.name}: {shake}")
         frames_file = AnnotationFile(
             images=tuple(images),
             annotations=(),
-            info={**_info(job, looked, changed, sways), DETECTOR_KEY: self._detector.name},
+            info={**_info(job, looked, changed, shake), DETECTOR_KEY: self._detector.name},
             name=job.footage.name,
             scheme=scheme,
             categories=self._detector.categories,
@@ -254,7 +254,7 @@ def _info(
     job: PredictJob,
     looked: Sequence[tuple[float, str]],
     changed: Sequence[ViewChange],
-    sways: CameraMotion | None,
+    shake: CameraMotion | None,
 ) -> dict[str, Any]:
     """Return the `info` of the frames on the footage."""
     info: dict[str, Any] = {"source": job.footage.name, "fps": job.footage.fps, **found_at(job), **job.camera_info}
@@ -270,16 +270,16 @@ def _info(
         info[VISIBILITY_KEY] = visibility_rows(looked)
     if changed:
         info[CHANGES_KEY] = [change.to_dict() for change in changed]
-    if sways:
-        info[MOTION_KEY] = sways.to_dict()
+    if shake:
+        info[MOTION_KEY] = shake.to_dict()
     return info
 
 
-def _sway_watch(job: PredictJob, last: int) -> CameraShakeEstimator:
+def _shake_estimator(job: PredictJob, last: int) -> CameraShakeEstimator:
     """Return the estimator of camera shake, relative to the first frame also if a run is resumed."""
     # Frames of a stream do not wait. With key frames only, the detector takes most of the time.
     apart = not job.footage.live and job.key_every == 1
-    processes = min(_SWAY_PROCESSES, usable_processors() // _SWAY_PROCESSES) if apart else 0
+    processes = min(_SHAKE_PROCESSES, usable_processors() // _SHAKE_PROCESSES) if apart else 0
     if not last or job.footage.live:
         return CameraShakeEstimator(processes=processes)
     first = next(job.footage.frames(), None)
@@ -339,8 +339,8 @@ def found_in(
     """
 
     def watch(frames: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
-        for one in watched:
-            frames = one.watch(frames)
+        for watcher in watched:
+            frames = watcher.watch(frames)
         return frames
 
     every = job.key_every

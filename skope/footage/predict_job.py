@@ -44,7 +44,7 @@ class Linked:
 
     def add(self, time_s: float, found: Sequence[Found]) -> None:
         """Add the detections of the next frame."""
-        sure = np.array([one.score > self._score for one in found], dtype=bool)
+        sure = np.array([detection.score > self._score for detection in found], dtype=bool)
         self._numbers.append(np.where(sure, self._links.add(time_s, found), -1).astype(np.int32))
 
     def confirmed(self) -> list[Integers32]:
@@ -62,10 +62,10 @@ class NumbersByCategory:
 
     def add(self, time_s: float, found: Sequence[AnyResult]) -> None:
         """Add the detections of the next frame."""
-        categories = np.array([one.category_id for one in found], dtype=np.int32)
+        categories = np.array([result.category_id for result in found], dtype=np.int32)
         self._categories.append(categories)
         for category, numbering in self._of_category.items():
-            numbering.add(time_s, [one for one in found if one.category_id == category])
+            numbering.add(time_s, [result for result in found if result.category_id == category])
 
     def confirmed(self) -> list[Integers32]:
         """Return for each frame the number of each detection's road user, from 0; -1 if not confirmed."""
@@ -73,9 +73,9 @@ class NumbersByCategory:
         count = 0
         for category, numbering in self._of_category.items():
             numbers = numbering.confirmed()
-            for of_frame, categories, own in zip(out, self._categories, numbers, strict=True):
-                of_frame[categories == category] = np.where(own >= 0, own + count, -1)
-            count += 1 + max((int(own.max()) for own in numbers if len(own)), default=-1)
+            for of_frame, categories, frame_numbers in zip(out, self._categories, numbers, strict=True):
+                of_frame[categories == category] = np.where(frame_numbers >= 0, frame_numbers + count, -1)
+            count += 1 + max((int(frame_numbers.max()) for frame_numbers in numbers if len(frame_numbers)), default=-1)
         return out
 
 
@@ -177,5 +177,5 @@ def content_of(footage: Footage) -> str:
 
 def found_at(job: PredictJob) -> dict[str, str]:
     """Return the path of the footage relative to the output folder, so that both may be moved together."""
-    place = job.footage.place
-    return {FOUND_AT: os.path.relpath(place.resolve(), job.out.resolve())} if place else {}
+    location = job.footage.location
+    return {FOUND_AT: os.path.relpath(location.resolve(), job.out.resolve())} if location else {}

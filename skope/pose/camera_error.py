@@ -38,8 +38,12 @@ def camera_info(path: Path) -> dict[str, Any]:
 
 def calibrated_seconds(path: Path) -> dict[str, Any] | None:
     """Return `source` and `seconds` of the footage on which a camera file was calibrated; None: not restricted."""
-    told = read_json(path).get("calibrated") if is_camera_json(path) else None
-    return {key: told[key] for key in ("source", "seconds")} if isinstance(told, dict) and "seconds" in told else None
+    calibrated = read_json(path).get("calibrated") if is_camera_json(path) else None
+    return (
+        {key: calibrated[key] for key in ("source", "seconds")}
+        if isinstance(calibrated, dict) and "seconds" in calibrated
+        else None
+    )
 
 
 def camera_of_info(name: str, info: Mapping[str, Any], camera: Camera | None) -> UncertainCamera | None:
@@ -55,11 +59,11 @@ def camera_of_info(name: str, info: Mapping[str, Any], camera: Camera | None) ->
     """
     if camera is None:
         return None
-    told = info.get(COVARIANCE_KEY)
-    if not isinstance(told, Mapping):
+    covariance = info.get(COVARIANCE_KEY)
+    if not isinstance(covariance, Mapping):
         return None
     try:
-        return UncertainCamera.from_dict(camera, told)
+        return UncertainCamera.from_dict(camera, covariance)
     except UserError as error:
         raise UserError(f"{name}: info.{COVARIANCE_KEY}: {error}") from None
 
@@ -76,11 +80,11 @@ def with_camera_error(poses: Poses, known: UncertainCamera | None, ground: Groun
         return poses
     places = poses.T_world_vehicle[:, :3, 3]
     ahead = np.column_stack([np.cos(poses.yaw), np.sin(poses.yaw)])
-    of_place, of_heading = camera_errors(known, places, ahead, ground.slope)
+    position_covariance, heading_covariance = camera_errors(known, places, ahead, ground.slope)
     covariance = poses.covariance.copy()
-    covariance[:, :2, :2] += of_place
+    covariance[:, :2, :2] += position_covariance
     aside = np.column_stack([-ahead[:, 1], ahead[:, 0]])
-    covariance[:, 3, 3] += np.einsum("ni,nij,nj->n", aside, of_heading, aside)
+    covariance[:, 3, 3] += np.einsum("ni,nij,nj->n", aside, heading_covariance, aside)
     return replace(poses, covariance=covariance)
 
 
@@ -100,14 +104,14 @@ def camera_errors(
     Returns:
         (N, 2, 2) square metres, and (N, 2, 2) (m/s)^2.
     """
-    of_place, of_velocity = (
+    position_covariance, velocity_covariance = (
         known.covariance_at(places, slope),
         known.covariance_of_velocities(places, velocities, slope),
     )
-    blind = ~(np.isfinite(of_place) & np.isfinite(of_velocity)).all(axis=(1, 2))
+    blind = ~(np.isfinite(position_covariance) & np.isfinite(velocity_covariance)).all(axis=(1, 2))
     if blind.any():
         share = known.distance_sigma()
         away = np.linalg.norm(places[blind, :2] - known.camera.position[:2], axis=1)
-        of_place[blind] = (share * away)[:, None, None] ** 2 * np.eye(2)
-        of_velocity[blind] = (share * np.linalg.norm(velocities[blind], axis=1))[:, None, None] ** 2 * np.eye(2)
-    return of_place, of_velocity
+        position_covariance[blind] = (share * away)[:, None, None] ** 2 * np.eye(2)
+        velocity_covariance[blind] = (share * np.linalg.norm(velocities[blind], axis=1))[:, None, None] ** 2 * np.eye(2)
+    return position_covariance, velocity_covariance

@@ -48,7 +48,7 @@ class PoseLimits:
     agreement: float = 0.4
     """Minimum share of the keypoints that must agree with a pose. Detectors trained on visible keypoints only put the
     hidden half anywhere, with a high score."""
-    doubt: float = 0.8
+    retry_agreement: float = 0.8
     """Share of agreeing keypoints below which other starts are tried."""
     heading_cost_gap: float = 6.0
     """Difference of cost within which a second heading is as good."""
@@ -136,12 +136,12 @@ class Poses:
             flags=shared_out(self.flags, ()),
         )
 
-    def without_refused(self) -> Self:
+    def without_rejected(self) -> Self:
         """Return the same poses with NaN for the numbers of rejected vehicles."""
-        refused = np.array([reason is not None for reason in self.refusal], dtype=bool)
+        rejected = np.array([reason is not None for reason in self.refusal], dtype=bool)
         blank = {name: getattr(self, name).copy() for name in NUMERIC_FIELDS}
         for values in blank.values():
-            values[refused] = np.nan
+            values[rejected] = np.nan
         return replace(self, **blank)
 
     @property
@@ -184,7 +184,7 @@ def estimate_poses(
     rng = np.random.default_rng(0)  # a fixed seed makes the result independent of earlier calls
     parts = [slice(i, i + POSE_LIMITS.chunk_vehicles) for i in range(0, len(found), POSE_LIMITS.chunk_vehicles)]
     chunks = [_locate_chunk(camera, found[part], sigma[part], at_edge[part], ground, space, rng) for part in parts]
-    return _joined(chunks).without_refused()
+    return _joined(chunks).without_rejected()
 
 
 def levelled(camera: Camera, ground: Ground) -> tuple[Camera, Ground]:
@@ -206,7 +206,9 @@ def _locate_chunk(
     fits = best_types(seen, shapes, ground)
     exchanged: dict[int, str] = {}
     doubted: set[int] = set()
-    doubtful = (agreeing_share(seen, fits) < POSE_LIMITS.doubt) | (fits.cost[:, 0] > POSE_LIMITS.impossible_cost)
+    doubtful = (agreeing_share(seen, fits) < POSE_LIMITS.retry_agreement) | (
+        fits.cost[:, 0] > POSE_LIMITS.impossible_cost
+    )
     poor = np.flatnonzero((doubtful | cut) & (seen.count >= FEWEST_KEYPOINTS[ground is not None]))
     if poor.size:
         retry_from_subsets(seen, fits, poor, shapes, ground, rng)
@@ -289,7 +291,7 @@ def _doubts(
     ahead = float((camera.position - T[:3, 3]) @ T[:3, 0])
     shown = float(seen.probability[i, _FRONT_LAMPS].mean() - seen.probability[i, _REAR_LAMPS].mean())
     doubts = {
-        "outliers": agree.sum() < POSE_LIMITS.doubt * seen.counted[i].sum(),
+        "outliers": agree.sum() < POSE_LIMITS.retry_agreement * seen.counted[i].sum(),
         "heading_in_doubt": doubted
         or (elsewhere & (fits.cost[i] < fits.cost[i, 0] + POSE_LIMITS.heading_cost_gap)).any(),
         "end_in_doubt": abs(ahead) > POSE_LIMITS.beside_m

@@ -126,7 +126,7 @@ class Scene:
         camera = self.camera_of(image)
         return self.motion.camera_in(camera, image.id) if self.motion else camera
 
-    def sway_in(self, image: Image) -> UncertainCamera | None:
+    def shake_in(self, image: Image) -> UncertainCamera | None:
         """Return the camera's uncertainty in one image from its shake; None: the camera is still."""
         return self.motion.rest_in(self.camera_of(image), image.id) if self.motion else None
 

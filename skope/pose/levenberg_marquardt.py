@@ -165,15 +165,15 @@ class _Problem:
                 R[live] @ Rotation.from_rotvec(step[:, 3:6]).as_matrix(),
                 a[live] + step[:, 6:],
             )
-            there = part._linearised(*moved)
-            better = there[0] <= cost[live]
-            gained = cost[live] - there[0]
+            trial = part._linearised(*moved)
+            better = trial[0] <= cost[live]
+            gained = cost[live] - trial[0]
             # Keep improvements, and lower the damping there; raise it elsewhere.
             good = live[better]
-            for mine, other in zip((p, R, a), moved, strict=True):
-                mine[good] = other[better]
-            for mine, other in zip((cost, squared, variance, normal, gradient), there, strict=True):
-                mine[good] = other[better]
+            for kept, tried in zip((p, R, a), moved, strict=True):
+                kept[good] = tried[better]
+            for kept, tried in zip((cost, squared, variance, normal, gradient), trial, strict=True):
+                kept[good] = tried[better]
             damping[live] *= np.where(better, 0.1, 10.0)
             # Drop vehicles with almost no gain in the last step, and those that no tiny step improves.
             live = live[~(better & (gained < OPTIMISER_LIMITS.settled * (1 + cost[live]))) & (damping[live] < 1e8)]

@@ -95,7 +95,9 @@ def measure_poses(
     for view in scene.views(score=score, noise=noise, sigma_px=sigma_px):
         located = locate_view(view, scene)
         rows += [
-            _row(located, i, one) for i, one in enumerate(view.truth) if one is not None and one.box_3d is not None
+            _row(located, i, truth)
+            for i, truth in enumerate(view.truth)
+            if truth is not None and truth.box_3d is not None
         ]
     return PoseErrors(*np.array(rows, dtype=np.float64).reshape(-1, len(fields(PoseErrors))).T)
 

@@ -53,7 +53,7 @@ def locate_view(view: View, scene: Scene) -> Located:
         camera, view.found[found], sigma_px=view.sigma_px[found], ground=scene.road_in(view.image), cut=view.cut[found]
     )
     # Unlike the calibration's error, this one is independent from frame to frame and affects the tracker.
-    poses = with_camera_error(poses, scene.sway_in(image), scene.road_in(image))
+    poses = with_camera_error(poses, scene.shake_in(image), scene.road_in(image))
     return Located(
         view, camera, poses if found.all() else poses.among(found, MOVED_REASON if moved else INTERPOLATED_REASON)
     )

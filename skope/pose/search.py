@@ -115,9 +115,9 @@ def without_hidden(
     return seen, rival - cost
 
 
-def _opposite(one: Fits, other: Fits) -> Mask:
+def _opposite(first: Fits, second: Fits) -> Mask:
     """Return (N,) whether the best fits have opposite headings."""
-    return np.asarray(np.einsum("ni,ni->n", one.R[:, 0, :, 0], other.R[:, 0, :, 0]) < 0)
+    return np.asarray(np.einsum("ni,ni->n", first.R[:, 0, :, 0], second.R[:, 0, :, 0]) < 0)
 
 
 def _shown(camera: Camera, fits: Fits, shapes: Shapes, ground: Ground | None, *, turned: bool) -> Mask:
@@ -162,10 +162,13 @@ def retry_exchanged(
     """
     for name, order in zip(EXCHANGE_FLAGS, EXCHANGED_ORDERS, strict=True):
         some = whole.relabelled(order)
-        other = best_types(some, shapes, ground)
+        relabelled_fits = best_types(some, shapes, ground)
         left_out = whole.count - seen.count[poor]
-        wins = other.cost[:, 0] < fits.cost[poor, 0] + POSE_SEARCH.hidden_cost * left_out - POSE_SEARCH.exchange_gap
-        fits.replace_where(poor, other, wins)
+        wins = (
+            relabelled_fits.cost[:, 0]
+            < fits.cost[poor, 0] + POSE_SEARCH.hidden_cost * left_out - POSE_SEARCH.exchange_gap
+        )
+        fits.replace_where(poor, relabelled_fits, wins)
         seen = seen.with_rows(poor[wins], some.take(np.flatnonzero(wins)))
         exchanged |= dict.fromkeys(poor[wins].tolist(), name)
     return seen

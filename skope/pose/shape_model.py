@@ -91,7 +91,7 @@ _FIELD_COUNT: Final = 4
 
 
 @cache
-def _fleet_sight() -> dict[str, Array]:
+def _visibility_weights() -> dict[str, Array]:
     """Return (33, 4) weights of a logistic regression by body type: for x, y, z of the direction, and a constant."""
     with resources.as_file(resources.files("skope.pose").joinpath("keypoint_visibility.json")) as path:
         document = read_json(path)
@@ -113,7 +113,7 @@ def facing(shapes: Shapes, kind: NDArray[np.intp], points: Array, eye: Array) ->
         (N, 33) whether each keypoint is visible.
     """
     always = np.tile([0.0, 0.0, 0.0, 1.0], (keypoints.K, 1))
-    weights = np.stack([_fleet_sight().get(name, always) for name in shapes.types])[kind]
+    weights = np.stack([_visibility_weights().get(name, always) for name in shapes.types])[kind]
     away = eye[:, None] - points
     away = away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-9)
     return np.asarray(np.einsum("nki,nki->nk", away, weights[..., :3]) + weights[..., 3] > 0)

@@ -90,8 +90,8 @@ def _turn(camera: Camera, away: Array, after: Array, matrix: Array, *, zooms: bo
     Returns the camera, its zoom, and the root mean square distance per axis, pixels.
     """
     middle = np.array([camera.width, camera.height]) / 2
-    there, across = (transformed(matrix, middle + step) for step in np.array([[0, 0], [1, 0.0]]))
-    step = across - there
+    middle_after, across = (transformed(matrix, middle + step) for step in np.array([[0, 0], [1, 0.0]]))
+    step = across - middle_after
     growth = math.log(float(np.linalg.norm(step))) if zooms else 0.0
 
     def seen_by(values: Array) -> Camera:
@@ -104,7 +104,7 @@ def _turn(camera: Camera, away: Array, after: Array, matrix: Array, *, zooms: bo
         pixels, _, valid = seen_by(values).project(away)
         return np.where(valid[:, None], pixels - after, camera.width).ravel()
 
-    begin = np.array([*(there - middle), math.atan2(step[1], step[0]), growth])[: 4 if zooms else 3]
+    begin = np.array([*(middle_after - middle), math.atan2(step[1], step[0]), growth])[: 4 if zooms else 3]
     solved = least_squares(residuals, begin, x_scale=np.array([1.0, 1.0, *2 * [2 / camera.width]])[: len(begin)])
     zoom = math.exp(solved.x[3]) if zooms else 1.0
     return seen_by(solved.x), zoom, float(np.sqrt((residuals(solved.x) ** 2).mean()))

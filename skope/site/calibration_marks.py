@@ -48,12 +48,12 @@ class CalibrationMarks:
         whole = size or self.size
         if whole is None:
             raise UserError("calibration.size: missing: expected [width, height] of the images that were marked")
-        known = beliefs_of(whole[0], fov_deg=self.fov_deg, lens=self.lens, height_m=self.height_m)
-        beliefs = (self.vehicles, *known) if self.vehicles else known
-        return Evidence(whole, self.points, self.lengths, self.parallels, self.verticals, beliefs)
+        known = priors_of(whole[0], fov_deg=self.fov_deg, lens=self.lens, height_m=self.height_m)
+        priors = (self.vehicles, *known) if self.vehicles else known
+        return Evidence(whole, self.points, self.lengths, self.parallels, self.verticals, priors)
 
 
-def beliefs_of(
+def priors_of(
     width: int,
     *,
     fov_deg: tuple[float, float] | None = None,
@@ -165,4 +165,4 @@ def _vehicles(table: TomlTable) -> CameraPrior | None:
     known = read_uncertain_camera(path)
     if known is None or set(known.parameters) & {"x", "y", "yaw"}:
         raise table.wrong("vehicles", f"{path}: expected a camera file that `skope eval camera` made from vehicles")
-    return known.belief("vehicles")
+    return known.prior("vehicles")

@@ -134,11 +134,11 @@ def read_gate(row: TomlTable) -> Gate:
     )
 
 
-def _ends(row: TomlTable, key: str, what: str) -> Outline:
+def _ends(row: TomlTable, key: str, form: str) -> Outline:
     """Return the two ends of a gate."""
     ends = read_line(row, key)
     if len(ends) != 2:
-        raise row.wrong(key, f"expected two ends {what}, got {len(ends)}")
+        raise row.wrong(key, f"expected two ends {form}, got {len(ends)}")
     if ends[0] == ends[1]:
         raise row.wrong(key, "its ends are the same")
     return ends
@@ -175,8 +175,8 @@ def _edges(row: TomlTable) -> tuple[str, str] | None:
         raise row.wrong("edges", 'expected two edges of a SUMO network, like ["A0B0", "B0A0"]; "" where there is none')
     if names[0] == names[1]:
         raise row.wrong("edges", f"both are {names[0]!r}")
-    one, other = (checked_name(row, "edges", name) if name else "" for name in names)
-    return one, other
+    forwards, backwards = (checked_name(row, "edges", name) if name else "" for name in names)
+    return forwards, backwards
 
 
 def read_zone(row: TomlTable) -> Zone:
@@ -218,7 +218,7 @@ def read_line(row: TomlTable, key: str) -> Outline:
     if not isinstance(points, list) or len(points) < 2:
         raise row.wrong(key, "expected two or more places [x, y]" if key in row else "missing")
     line = tuple((x, y) for x, y in row.matrix(key, len(points), 2))
-    if any(abs(value) > MARK_LIMITS.farthest_m for place in line for value in place):
+    if any(abs(value) > MARK_LIMITS.farthest_m for position in line for value in position):
         raise row.wrong(key, f"expected numbers within {MARK_LIMITS.farthest_m:g}")
     return line
 

@@ -87,7 +87,7 @@ def positions(value: Any, width: int) -> list[list[float]] | None:
         return None
     if any(not isinstance(row, list) or len(row) != width or not all(map(is_number, row)) for row in value):
         return None
-    return [[float(one) for one in row] for row in value]
+    return [[float(number) for number in row] for row in value]
 
 
 def known_value(value: Any, limits: tuple[float, float]) -> tuple[float, float] | None:
@@ -169,31 +169,35 @@ class _Fields:
 def in_image(value: Any) -> list[list[float]] | None:
     """Return rows of column and row within the limits of marks, or None for anything else."""
     rows = positions(value, 2)
-    return None if rows is None or any(abs(one) > MARK_LIMITS.widest_px for row in rows for one in row) else rows
+    return None if rows is None or any(abs(number) > MARK_LIMITS.widest_px for row in rows for number in row) else rows
 
 
 def _point(fields: _Fields, name: str) -> MarkedPoint | None:
     pixel = in_image([fields.value("pixel")])
     if pixel is None:
         fields.wrong("pixel", "expected column and row in pixels, two numbers")
-    place = fields.value("place")
-    if place is None:
-        place = [None, None, 0.0]
-    if not isinstance(place, list) or len(place) not in (2, 3):
-        fields.wrong("place", f"expected 2 or 3 numbers, metres, got {shown(place)}")
+    position = fields.value("place")
+    if position is None:
+        position = [None, None, 0.0]
+    if not isinstance(position, list) or len(position) not in (2, 3):
+        fields.wrong("place", f"expected 2 or 3 numbers, metres, got {shown(position)}")
         return None
-    place = [*place, 0.0][:3]
-    for axis, value in zip("xyz", place, strict=True):
+    position = [*position, 0.0][:3]
+    for axis, value in zip("xyz", position, strict=True):
         found = number_or_none(value)
         if value in (None, ""):
             fields.wrong(f"place.{axis}", "type it in metres", missing=True)
         elif found is None or abs(found) > MARK_LIMITS.farthest_m:
             fields.wrong(f"place.{axis}", f"expected metres, got {shown(value)}")
-    usual = {"sigma_px": MARKING_ERRORS.pixel, "sigma_m": MARKING_ERRORS.place_m, "sigma_z_m": MARKING_ERRORS.height_m}
+    usual = {
+        "sigma_px": MARKING_ERRORS.pixel,
+        "sigma_m": MARKING_ERRORS.position_m,
+        "sigma_z_m": MARKING_ERRORS.height_m,
+    }
     sigmas = {field: fields.sigma(field, default) for field, default in usual.items()}
     if fields.problems or pixel is None:
         return None
-    return MarkedPoint(np.array(pixel[0]), np.array(place, dtype=np.float64), name=name, **sigmas)
+    return MarkedPoint(np.array(pixel[0]), np.array(position, dtype=np.float64), name=name, **sigmas)
 
 
 def _length(fields: _Fields, name: str) -> MarkedLength | None:

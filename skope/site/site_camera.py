@@ -63,10 +63,10 @@ def read_site_camera(table: TomlTable, picture: ImageSize | None) -> OwnCamera:
 def _known(table: TomlTable, camera: Camera) -> UncertainCamera | None:
     """Return the camera with the covariance of the table, or of the file with the whole camera; None without one."""
     if "covariance" in table:
-        own = table.table("covariance")
-        told = {key: own.value(key) for key in ("of", "matrix")}
-        own.done()
-        return UncertainCamera.from_dict(camera, told)
+        covariance_table = table.table("covariance")
+        covariance = {key: covariance_table.value(key) for key in ("of", "matrix")}
+        covariance_table.done()
+        return UncertainCamera.from_dict(camera, covariance)
     file = table.file("file")
     if file is None or any(key in table for key in ("T_camera_world", "R", "points", "ground", "position", "look_at")):
         return None
@@ -146,12 +146,12 @@ def _scaled(table: TomlTable, K: Array, calibrated: ImageSize, size: ImageSize) 
 def _distortion(table: TomlTable, read: CameraCalibration | None) -> Distortion:
     if "distortion" not in table:
         return read.distortion if read else Distortion()
-    own = table.table("distortion")
-    model, values = own.text("model", "brown"), own.value("coefficients")
+    distortion_table = table.table("distortion")
+    model, values = distortion_table.text("model", "brown"), distortion_table.value("coefficients")
     if not isinstance(values, list):
-        raise own.wrong("coefficients", "expected a list of numbers")
-    coefficients = own.numbers("coefficients", len(values))
-    own.done()
+        raise distortion_table.wrong("coefficients", "expected a list of numbers")
+    coefficients = distortion_table.numbers("coefficients", len(values))
+    distortion_table.done()
     return Distortion(model, coefficients)
 
 

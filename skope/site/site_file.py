@@ -37,14 +37,14 @@ _FOOTAGE_YEARS: Final = range(1900, 2900)
 """Years in which footage may begin. Times near year 1 or 9999 cannot be converted to other zones."""
 
 
-def year_doubt(time: datetime) -> str:
+def year_problem(time: datetime) -> str:
     """Return a message on an implausible year of footage; empty for other years."""
     if time.year in _FOOTAGE_YEARS:
         return ""
     return f"expected a year from {_FOOTAGE_YEARS.start} to {_FOOTAGE_YEARS.stop - 1}, got {time.year}"
 
 
-def clock_doubt(time: datetime, zone: ZoneInfo) -> str:
+def clock_problem(time: datetime, zone: ZoneInfo) -> str:
     """Check a local time against the clocks of its zone.
 
     Args:
@@ -54,13 +54,13 @@ def clock_doubt(time: datetime, zone: ZoneInfo) -> str:
     Returns:
         A message if clocks skip the time or show it twice, or its year is impossible; else empty.
     """
-    if doubt := year_doubt(time):
-        return doubt
+    if problem := year_problem(time):
+        return problem
     first, second = (time.replace(tzinfo=zone, fold=fold) for fold in (0, 1))
     if first.astimezone(UTC).astimezone(zone).replace(tzinfo=None) != time:
         return f"there is no such time in {zone.key}: clocks are put forward then"
     if first.utcoffset() != second.utcoffset():
-        ways = " or ".join(f"{one.isoformat(sep=' ')}" for one in (first, second))
+        ways = " or ".join(f"{moment.isoformat(sep=' ')}" for moment in (first, second))
         return f"clocks show this twice, as they are put back: type {ways}"
     return ""
 
@@ -171,10 +171,10 @@ def parse_site(path: Path, data: bytes) -> SiteFile:
     for row in table.rows("occluders"):
         occluders.append(read_occluder(row))
         unknown += row.unread
-    others = [key for key in table.unread if key not in _FOR_GENERATING]
+    unread_keys = [key for key in table.unread if key not in _FOR_GENERATING]
     gates = parts.gates if camera is None else tuple(gate_on_road(gate, camera.camera) for gate in parts.gates)
     return SiteFile(
-        **{**vars(parts), "unknown": (*others, *unknown), "gates": gates},
+        **{**vars(parts), "unknown": (*unread_keys, *unknown), "gates": gates},
         path=path,
         revision=hashlib.sha256(data).hexdigest(),
         camera=camera,
@@ -233,9 +233,9 @@ def _start(table: TomlTable, zone: ZoneInfo | None) -> datetime | None:
     if not isinstance(start, datetime) or (start.tzinfo is None and zone is None):
         raise table.wrong("start", "expected a time with its zone, like 2026-11-26T10:00:00+01:00, or time_zone too")
     if start.tzinfo is not None or zone is None:
-        doubt, located = year_doubt(start), start
+        problem, zoned = year_problem(start), start
     else:
-        doubt, located = clock_doubt(start, zone), start.replace(tzinfo=zone)
-    if doubt:
-        raise table.wrong("start", doubt)
-    return located
+        problem, zoned = clock_problem(start, zone), start.replace(tzinfo=zone)
+    if problem:
+        raise table.wrong("start", problem)
+    return zoned

@@ -168,16 +168,16 @@ def _pce_factors(table: TomlTable) -> dict[str, float]:
     return read
 
 
-def _names(table: TomlTable, key: str, known: tuple[str, ...], what: str) -> tuple[str, ...] | None:
+def _names(table: TomlTable, key: str, known: tuple[str, ...], subject: str) -> tuple[str, ...] | None:
     """Return a list of known names; None if the key is missing."""
     if key not in table:
         return None
     names = table.value(key)
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise table.wrong(key, f"expected a list of names of {what}")
+        raise table.wrong(key, f"expected a list of names of {subject}")
     for name in names:
         if checked_name(table, key, name) not in known:
-            raise table.wrong(key, f"{name!r} is none of the {what}: {', '.join(known) or 'there are none'}")
+            raise table.wrong(key, f"{name!r} is none of the {subject}: {', '.join(known) or 'there are none'}")
     if len(set(names)) < len(names):
         raise table.wrong(key, "a name is listed twice")
     return tuple(names)

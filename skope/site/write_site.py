@@ -77,7 +77,7 @@ def _merge(table: Any, changes: Mapping[str, Any], *, inline: bool) -> None:
             if key in table:
                 table.remove(key)
         elif key not in table:
-            if not _says_nothing(value):
+            if not _only_removes(value):
                 table[key] = _made(value, inline=inline)
         elif _plain(table[key]) == value and type(_plain(table[key])) is type(value):
             continue
@@ -113,7 +113,7 @@ def _merge_rows(table: Any, key: str, rows: Sequence[Mapping[str, Any]]) -> None
 def _partners(before: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, Any]]) -> list[int | None]:
     """Return the index of each row's earlier version: same name, or same place and content; None: it is new."""
 
-    def other_than_name(row: Mapping[str, Any]) -> dict[str, Any]:
+    def without_name(row: Mapping[str, Any]) -> dict[str, Any]:
         return {key: value for key, value in row.items() if key != "name" and value is not None}
 
     at = {row["name"]: k for k, row in enumerate(before) if "name" in row}
@@ -122,7 +122,7 @@ def _partners(before: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, A
         if out[i] is not None or i in out or i >= len(before):
             continue
         nameless = "name" not in row and "name" not in before[i]
-        if nameless or other_than_name(row).items() <= other_than_name(before[i]).items():
+        if nameless or without_name(row).items() <= without_name(before[i]).items():
             out[i] = i
     return out
 
@@ -133,9 +133,9 @@ def _made(value: Any, *, inline: bool) -> Any:
 
     if isinstance(value, Mapping):
         made = tomlkit.inline_table() if inline else tomlkit.table()
-        for key, one in value.items():
-            if one is not None:
-                made[key] = _made(one, inline=inline or not isinstance(one, Mapping))
+        for key, entry in value.items():
+            if entry is not None:
+                made[key] = _made(entry, inline=inline or not isinstance(entry, Mapping))
         return made
     if _tables(value):
         if not inline:
@@ -150,9 +150,9 @@ def _made(value: Any, *, inline: bool) -> Any:
     return tomlkit.item(value)
 
 
-def _says_nothing(value: Any) -> bool:
+def _only_removes(value: Any) -> bool:
     """Return whether a table only removes keys, so that there is nothing to add."""
-    return isinstance(value, Mapping) and all(one is None for one in value.values())
+    return isinstance(value, Mapping) and all(entry is None for entry in value.values())
 
 
 def _tables(value: Any) -> bool:

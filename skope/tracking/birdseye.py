@@ -58,7 +58,7 @@ class MapStyle:
 
 MAP_STYLE: Final = MapStyle()
 
-_MAP_PLACE: Final = {"left": 0.055, "right": 0.895, "top": 0.85, "bottom": 0.5}
+_MAP_EDGES: Final = {"left": 0.055, "right": 0.895, "top": 0.85, "bottom": 0.5}
 """Position of the map: left and right as shares of the image width, top and bottom margins in inches."""
 
 
@@ -84,13 +84,13 @@ def draw(
     from matplotlib.figure import Figure
 
     low, high = extent([*tracks, *road_users], camera.position[:2])
-    map_width = MAP_STYLE.width_inches * (_MAP_PLACE["right"] - _MAP_PLACE["left"])
+    map_width = MAP_STYLE.width_inches * (_MAP_EDGES["right"] - _MAP_EDGES["left"])
     map_height = map_width * float(high[1] - low[1]) / float(high[0] - low[0])
-    height = map_height + _MAP_PLACE["top"] + _MAP_PLACE["bottom"]
+    height = map_height + _MAP_EDGES["top"] + _MAP_EDGES["bottom"]
     figure = Figure(figsize=(MAP_STYLE.width_inches, height), dpi=MAP_STYLE.dpi)
     FigureCanvasAgg(figure)  # labels are measured before anything is written
     axes = figure.add_axes(
-        (_MAP_PLACE["left"], _MAP_PLACE["bottom"] / height, map_width / MAP_STYLE.width_inches, map_height / height),
+        (_MAP_EDGES["left"], _MAP_EDGES["bottom"] / height, map_width / MAP_STYLE.width_inches, map_height / height),
         xlim=(low[0], high[0]),
         ylim=(low[1], high[1]),
     )
@@ -101,8 +101,8 @@ def draw(
     for track in tracks:
         _draw_path(axes, track, colors, norm, many=len(tracks) > MAP_STYLE.many_tracks)
     frame = _fullest_frame(tracks)
-    for one in road_users:
-        _draw_road_user(axes, one, frame)
+    for road_user in road_users:
+        _draw_road_user(axes, road_user, frame)
     present = [(track, frame - int(track.frames[0])) for track in tracks if frame in track.frames]
     for track, i in present:
         _draw_vehicle(axes, track, i, colors(norm(track.speed[i] * 3.6)))
@@ -111,7 +111,7 @@ def draw(
     map_signs.draw_labels(axes, tracks, labelled, {track.number: i for track, i in present}, taken)
     map_signs.draw_frame(axes)
     _write_heading(figure, tracks, road_users, None if not present else float(present[0][0].times_s[present[0][1]]))
-    bar = figure.add_axes((0.915, _MAP_PLACE["bottom"] / height, 0.016, map_height / height))
+    bar = figure.add_axes((0.915, _MAP_EDGES["bottom"] / height, 0.016, map_height / height))
     map_signs.draw_scale(bar, colors, norm)
     with replacing(path) as temporary:
         figure.savefig(temporary)
@@ -138,7 +138,7 @@ def _write_heading(
     figure: "Figure", tracks: Sequence[Track], road_users: Sequence[Track], moment_s: float | None
 ) -> None:
     """Write the number and duration of the tracks above the map, and explain lines and outlines."""
-    place, height = _MAP_PLACE["left"], figure.get_figheight()
+    left, height = _MAP_EDGES["left"], figure.get_figheight()
     heading, note = "No vehicle was tracked", ""
     if tracks:
         seconds = max(t.times_s[-1] for t in tracks) - min(t.times_s[0] for t in tracks)
@@ -150,9 +150,9 @@ def _write_heading(
     if road_users:
         kinds = [name for name in map_signs.ROAD_USERS if any(track.category == name for track in road_users)]
         words = f"dotted: {', '.join(kinds)}, as in tracks.csv"
-        figure.text(_MAP_PLACE["right"], 1 - 0.36 / height, words, fontsize=9, color=map_signs.FAINT_COLOR, ha="right")
-    figure.text(place, 1 - 0.36 / height, heading, fontsize=14, weight="bold", color=map_signs.INK_COLOR)
-    figure.text(place, 1 - 0.63 / height, note, fontsize=9, color=map_signs.FAINT_COLOR)
+        figure.text(_MAP_EDGES["right"], 1 - 0.36 / height, words, fontsize=9, color=map_signs.FAINT_COLOR, ha="right")
+    figure.text(left, 1 - 0.36 / height, heading, fontsize=14, weight="bold", color=map_signs.INK_COLOR)
+    figure.text(left, 1 - 0.63 / height, note, fontsize=9, color=map_signs.FAINT_COLOR)
 
 
 def extent(tracks: Sequence[Track], camera_xy: Array) -> tuple[Array, Array]:

@@ -63,9 +63,9 @@ class _Map:
         flipped = (places - self._low) * self._scale * [1, -1] + [0, self._height]
         return np.asarray(np.rint(flipped), dtype=np.int32)
 
-    def holds(self, place: Array) -> bool:
+    def holds(self, position: Array) -> bool:
         """Return whether a position (2,) is on the map."""
-        x, y = self.at(place).tolist()
+        x, y = self.at(position).tolist()
         return bool(0 <= x < self._width and 0 <= y < self._height)
 
     def present(self, tracks: Sequence[T], frame: int) -> Iterator[tuple[T, int]]:
@@ -141,7 +141,7 @@ def _draw_dot(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
 def put_text(
     picture: Pixels,
     text: str,
-    place: tuple[int, int],
+    corner: tuple[int, int],
     color: tuple[int, int, int] = MAP_VIDEO_STYLE.ink,
     size: float = 0.45,
 ) -> None:
@@ -150,14 +150,14 @@ def put_text(
     Args:
         picture: (H, W, 3), changed in place.
         text: One line.
-        place: Column and row of its lower left corner, pixels.
+        corner: Column and row of its lower left corner, pixels.
         color: RGB.
         size: Font scale of OpenCV.
     """
     text = text.replace("±", "+-")  # OpenCV's fonts are ASCII only
     (width, height), _ = cv2.getTextSize(text, _LABEL_FONT, size, 1)
-    x = int(np.clip(place[0], 2, max(2, picture.shape[1] - width - 4)))
-    y = int(np.clip(place[1], height + 2, picture.shape[0] - 4))
+    x = int(np.clip(corner[0], 2, max(2, picture.shape[1] - width - 4)))
+    y = int(np.clip(corner[1], height + 2, picture.shape[0] - 4))
     # The outline is drawn with the thin font's positions, because thicker letters may be wider.
     for dx, dy in itertools.product((-1, 0, 1), repeat=2):
         cv2.putText(picture, text, (x + dx, y + dy), _LABEL_FONT, size, (255, 255, 255), 1, cv2.LINE_AA)

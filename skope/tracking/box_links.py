@@ -91,8 +91,8 @@ class BoxLinks:
         Returns:
             (N,) the number of each detection's vehicle.
         """
-        boxes = np.array([one.bbox for one in found]).reshape(-1, 4)
-        return self.add_boxes(time_s, boxes, followed=[one.track_id for one in found], first=first)
+        boxes = np.array([detection.bbox for detection in found]).reshape(-1, 4)
+        return self.add_boxes(time_s, boxes, followed=[detection.track_id for detection in found], first=first)
 
     def add_boxes(
         self,
@@ -113,11 +113,11 @@ class BoxLinks:
         Returns:
             (N,) the number of each box's vehicle.
         """
-        self._live = {i: one for i, one in self._live.items() if time_s - one.time_s <= LINK_LIMITS.lost_s}
+        self._live = {i: last for i, last in self._live.items() if time_s - last.time_s <= LINK_LIMITS.lost_s}
         rectangles = box_math.xywh_to_xyxy(boxes)
         followed = [None] * len(boxes) if followed is None else followed
         numbers = np.full(len(boxes), -1, dtype=np.int32)
-        names = {one.followed: i for i, one in self._live.items() if one.followed is not None}
+        names = {last.followed: i for i, last in self._live.items() if last.followed is not None}
         for here, name in enumerate(followed):
             # Remove the name, so that of two boxes with one name only the first gets the vehicle.
             if name is not None and (number := names.pop(name, None)) is not None:
@@ -142,11 +142,11 @@ class BoxLinks:
         if not vehicles or not len(rectangles):
             return []
         known = [self._live[i] for i in vehicles]
-        expected = np.array([one.expected(time_s) for one in known])
-        size = np.array([size_of(one.box) for one in known])[:, None]
-        reach = np.array([LINK_LIMITS.reach_sizes if one.seen > 1 else LINK_LIMITS.first_reach_sizes for one in known])[
-            :, None
-        ]
+        expected = np.array([last.expected(time_s) for last in known])
+        size = np.array([size_of(last.box) for last in known])[:, None]
+        reach = np.array(
+            [LINK_LIMITS.reach_sizes if last.seen > 1 else LINK_LIMITS.first_reach_sizes for last in known]
+        )[:, None]
         away = np.linalg.norm((_middles(expected)[:, None] - _middles(rectangles)[None]), axis=-1) / size
         ratio = np.sqrt(box_math.area(rectangles))[None] / size
         cost = np.where((away < reach) & (np.maximum(ratio, 1 / ratio) < LINK_LIMITS.size_ratio), away, np.inf)

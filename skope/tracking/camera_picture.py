@@ -70,14 +70,14 @@ def overlay_frames(
     source = footage_of(folder, file.info)
     if source is None:
         raise UserError(f"{file.name}: does not name its footage, which --overlay needs to draw into")
-    place = {image.frame_index if image.frame_index is not None else i: i for i, image in enumerate(file.images)}
+    numbers = {image.frame_index if image.frame_index is not None else i: i for i, image in enumerate(file.images)}
     present: dict[int, list[tuple[Track, int]]] = {}
     everybody: list[Track] = [*tracks, *road_users]
     for track in everybody:
         for i in np.flatnonzero(track.detected).tolist():
             present.setdefault(int(track.frames[i]), []).append((track, i))
     for image, pixels in open_footage(str(source)).frames():
-        frame = place.get(-1 if image.frame_index is None else image.frame_index)
+        frame = numbers.get(-1 if image.frame_index is None else image.frame_index)
         if frame is not None:
             yield with_tracks_drawn(pixels, present.get(frame, []))
 
@@ -112,7 +112,7 @@ def draw_camera_picture(scene: Scene, folder: Path) -> Pixels | None:
         UserError: The footage is missing or cannot be read.
     """
     source = footage_of(folder, scene.file.info)
-    view = max(scene.views(score=KEPT_SCORE), key=lambda one: int((~one.interpolated).sum()), default=None)
+    view = max(scene.views(score=KEPT_SCORE), key=lambda candidate: int((~candidate.interpolated).sum()), default=None)
     if source is None or view is None:
         return None
     camera = scene.camera_of(view.image)

@@ -34,20 +34,22 @@ class DuplicateLimits:
 DUPLICATE_LIMITS: Final = DuplicateLimits()
 
 
-def inside_and_apart(one: Array, other: Array) -> tuple[Array, Array]:
+def inside_and_apart(first: Array, second: Array) -> tuple[Array, Array]:
     """Return the share of the smaller of two boxes inside the larger one, and the distance of both.
 
     Args:
-        one: (N, 4) first boxes: x, y, width, height, pixels.
-        other: (N, 4) second boxes.
+        first: (N, 4) first boxes: x, y, width, height, pixels.
+        second: (N, 4) second boxes.
 
     Returns:
         (N,) shares from 0 to 1, and (N,) distances of the lower edges' middles in sizes of the larger box.
     """
-    first, second = boxes.xywh_to_xyxy(one), boxes.xywh_to_xyxy(other)
-    inside = np.maximum(boxes.share_inside_each(first, second), boxes.share_inside_each(second, first))
-    size = np.maximum(one[:, 2:], other[:, 2:]) * [1.0, 0.5]
-    apart = np.linalg.norm(feet(one) - feet(other), axis=1) / size.max(axis=1)
+    first_corners, second_corners = boxes.xywh_to_xyxy(first), boxes.xywh_to_xyxy(second)
+    inside = np.maximum(
+        boxes.share_inside_each(first_corners, second_corners), boxes.share_inside_each(second_corners, first_corners)
+    )
+    size = np.maximum(first[:, 2:], second[:, 2:]) * [1.0, 0.5]
+    apart = np.linalg.norm(feet(first) - feet(second), axis=1) / size.max(axis=1)
     return inside, apart
 
 
@@ -56,16 +58,16 @@ def feet(rectangles: Array) -> Array:
     return np.asarray(rectangles[:, :2] + rectangles[:, 2:] * [0.5, 1.0])
 
 
-def encloses(track: OpenTrack, place: Array, covariance: Array) -> bool:
+def encloses(track: OpenTrack, position: Array, covariance: Array) -> bool:
     """Return whether a position is inside a track's vehicle, within one standard deviation.
 
     Args:
         track: The track, with a pose.
-        place: (2,) world, metres.
-        covariance: (2, 2) covariance of `place`, square metres; that of the track's own position is added.
+        position: (2,) world, metres.
+        covariance: (2, 2) covariance of `position`, square metres; that of the track's own position is added.
     """
     mean, spread = track.state
-    return inside_vehicle(track.last_pose, place - mean[:2], covariance + spread[:2, :2])
+    return inside_vehicle(track.last_pose, position - mean[:2], covariance + spread[:2, :2])
 
 
 def inside_vehicle(vehicle: PoseMeasurement, away: Array, covariance: Array) -> bool:
@@ -97,9 +99,9 @@ def give_up_duplicates(live: Sequence[OpenTrack], time_s: float) -> list[OpenTra
     """
     kept_tracks: list[OpenTrack] = []
     duplicates: list[OpenTrack] = []
-    for track in sorted(live, key=lambda one: -one.poses):
+    for track in sorted(live, key=lambda open_track: -open_track.poses):
         mean, spread = track.state
-        around = next((one for one in kept_tracks if encloses(one, mean[:2], spread[:2, :2])), None)
+        around = next((kept for kept in kept_tracks if encloses(kept, mean[:2], spread[:2, :2])), None)
         if around is None or around is not track.surrounding:
             track.surrounding, track.surrounded_s = around, time_s
         if around is None or time_s - track.surrounded_s < DUPLICATE_LIMITS.duplicate_s:

@@ -40,7 +40,7 @@ FOOT_ERRORS: Final = FootErrors()
 class GroundPoint:
     """Position on the road with its covariance."""
 
-    place: Array
+    position: Array
     """(2,) world x, y, metres."""
     covariance: Array
     """(2, 2) covariance of the position, square metres."""
@@ -80,9 +80,9 @@ def ground_detections(scene: Scene, *, score: float, sigma_px: float | None) -> 
         The road users of each image.
     """
     found: dict[int, list[RoadUser | RoadUserResult]] = {image.id: [] for image in scene.file.images}
-    for one in _chosen(scene, score):
-        if one.image_id in found:
-            found[one.image_id].append(one)
+    for detection in _chosen(scene, score):
+        if detection.image_id in found:
+            found[detection.image_id].append(detection)
     return [_in_image(scene, image, found[image.id], sigma_px) for image in scene.file.images]
 
 
@@ -95,43 +95,47 @@ def _chosen(scene: Scene, score: float) -> Iterable[RoadUser | RoadUserResult]:
 def _in_image(
     scene: Scene, image: Image, found: Sequence[RoadUser | RoadUserResult], sigma_px: float | None
 ) -> list[GroundDetection]:
-    boxes = np.array([one.bbox for one in found]).reshape(-1, 4)
+    boxes = np.array([detection.bbox for detection in found]).reshape(-1, 4)
     stand = feet(boxes)
-    spread = np.full((len(found), 2), sigma_px) if sigma_px is not None else np.array([_spread(one) for one in found])
+    spread = (
+        np.full((len(found), 2), sigma_px)
+        if sigma_px is not None
+        else np.array([_spread(detection) for detection in found])
+    )
     points: list[GroundPoint | None] = [None] * len(found)
     road = scene.road_in(image)
     if road is not None and found and not scene.moved_in(image):
         points = ground_points(scene.camera_in(image), road, stand, spread)
         points = [_wider(point, scene, image) for point in points]
     out = []
-    for group in _one_each(found, boxes):
-        one, point = found[group[0]], points[group[0]]
+    for group in _groups(found, boxes):
+        best, point = found[group[0]], points[group[0]]
         shown = point if stand[group[0], 1] < image.height - FOOT_ERRORS.edge_px else None
-        if isinstance(one, RoadUser):  # as with vehicles, labels carry no identity from frame to frame
-            out.append(GroundDetection(one.category_id, one.bbox, 1.0, (), {one.category_id: 1.0}, shown))
+        if isinstance(best, RoadUser):  # as with vehicles, labels carry no identity from frame to frame
+            out.append(GroundDetection(best.category_id, best.bbox, 1.0, (), {best.category_id: 1.0}, shown))
         else:
-            same = [two for two in (found[i] for i in group) if isinstance(two, RoadUserResult)]
-            links = tuple((two.category_id, two.track_id) for two in same if two.track_id is not None)
+            same = [result for result in (found[i] for i in group) if isinstance(result, RoadUserResult)]
+            links = tuple((result.category_id, result.track_id) for result in same if result.track_id is not None)
             scores: dict[int, float] = defaultdict(float)
-            for two in same:
-                scores[two.category_id] += two.score
-            measured = None if one.interpolated else shown
-            out.append(GroundDetection(one.category_id, one.bbox, one.score, links, scores, measured))
+            for result in same:
+                scores[result.category_id] += result.score
+            measured = None if best.interpolated else shown
+            out.append(GroundDetection(best.category_id, best.bbox, best.score, links, scores, measured))
     return out
 
 
-def _spread(one: RoadUser | RoadUserResult) -> tuple[float, float]:
+def _spread(detection: RoadUser | RoadUserResult) -> tuple[float, float]:
     """Return the standard deviations of a box's lower middle, across and up, pixels."""
-    if isinstance(one, RoadUser):
+    if isinstance(detection, RoadUser):
         return FOOT_ERRORS.labelled_px, FOOT_ERRORS.labelled_px
-    across, up = (max(FOOT_ERRORS.least_px, share * one.bbox[2:].max()) for share in FOOT_ERRORS.box_shares)
+    across, up = (max(FOOT_ERRORS.least_px, share * detection.bbox[2:].max()) for share in FOOT_ERRORS.box_shares)
     return across, up
 
 
-def _one_each(found: Sequence[RoadUser | RoadUserResult], boxes: Array) -> list[list[int]]:
+def _groups(found: Sequence[RoadUser | RoadUserResult], boxes: Array) -> list[list[int]]:
     """Return the indices of the boxes of each road user, highest score first; each label is a road user."""
     groups: list[list[int]] = []
-    scores = [one.score if isinstance(one, RoadUserResult) else 1.0 for one in found]
+    scores = [detection.score if isinstance(detection, RoadUserResult) else 1.0 for detection in found]
     for i in sorted(range(len(found)), key=lambda i: -scores[i]):
         first = boxes[[group[0] for group in groups]].reshape(-1, 4)
         inside, apart = inside_and_apart(first, np.broadcast_to(boxes[i], first.shape))
@@ -145,10 +149,10 @@ def _one_each(found: Sequence[RoadUser | RoadUserResult], boxes: Array) -> list[
 
 def _wider(point: GroundPoint | None, scene: Scene, image: Image) -> GroundPoint | None:
     """Return a ground point with the residual camera shake added to its covariance."""
-    sway, road = scene.sway_in(image), scene.road_in(image)
-    if point is None or sway is None or road is None:
+    shake, road = scene.shake_in(image), scene.road_in(image)
+    if point is None or shake is None or road is None:
         return point
-    added, _ = camera_errors(sway, np.array([[*point.place, point.height]]), np.zeros((1, 2)), road.slope)
+    added, _ = camera_errors(shake, np.array([[*point.position, point.height]]), np.zeros((1, 2)), road.slope)
     return replace(point, covariance=point.covariance + added[0])
 
 
@@ -170,12 +174,12 @@ def ground_points(camera: Camera, ground: Ground, pixels: Array, sigma_px: Array
     moved = slopes * sigma_px[:, None]
     covariances = moved @ moved.swapaxes(1, 2) + rise[:, :, None] * rise[:, None]
     out: list[GroundPoint | None] = []
-    for place, covariance in zip(places, covariances, strict=True):
+    for position, covariance in zip(places, covariances, strict=True):
         known = (
             bool(np.isfinite(covariance).all()) and np.linalg.eigvalsh(covariance)[-1] < FOOT_ERRORS.largest_sigma_m**2
         )
-        height = ground.height + float((place - ground.about) @ ground.slope)
-        out.append(GroundPoint(place, covariance, height) if known else None)
+        height = ground.height + float((position - ground.about) @ ground.slope)
+        out.append(GroundPoint(position, covariance, height) if known else None)
     return out
 
 

@@ -86,7 +86,7 @@ def read_image_trajectories(folder: Path, gates: Sequence[Gate] = ()) -> tuple[l
         raise UserError(
             f"{folder / PREDICTIONS_FILE}: track_id: missing: what images show is not followed from one to another"
         )
-    tracks = [(category_id, _in_first_view(own, views)) for (category_id, _), own in rows.items()]
+    tracks = [(category_id, _in_first_view(track_rows, views)) for (category_id, _), track_rows in rows.items()]
     made = [_trajectory(k, *track) for k, track in enumerate(_without_doubles(tracks), start=1)]
     source = str(file.info.get("source", file.name))
     observation = Observation(
@@ -100,7 +100,7 @@ def read_image_trajectories(folder: Path, gates: Sequence[Gate] = ()) -> tuple[l
         if START_TIME_KEY in file.info
         else None,
     )
-    return [one for one in made if one.confirmed], observation, notes
+    return [track for track in made if track.confirmed], observation, notes
 
 
 def _followed_views(file: AnnotationFile, gates: Sequence[Gate]) -> tuple[list[KnownView], list[str]]:
@@ -145,12 +145,12 @@ def _in_first_view(rows: list[tuple[int, MotRow]], views: Sequence[KnownView]) -
     for number in np.unique(numbers):
         homography = views[number].from_first
         if number and homography is not None:
-            own, back = numbers == number, np.linalg.inv(homography.matrix)
-            feet = values[own, 1:3]
-            there = transformed(back, feet)
-            across, down = (transformed(back, feet + step) - there for step in np.eye(2))
+            in_view, back = numbers == number, np.linalg.inv(homography.matrix)
+            feet = values[in_view, 1:3]
+            first_feet = transformed(back, feet)
+            across, down = (transformed(back, feet + step) - first_feet for step in np.eye(2))
             growth = np.sqrt(np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]))
-            values[own] = np.column_stack([values[own, 0], there, values[own, 3:] * growth[:, None]])
+            values[in_view] = np.column_stack([values[in_view, 0], first_feet, values[in_view, 3:] * growth[:, None]])
     values[:, 2] *= -1
     return np.array(sorted(values.tolist()))
 
@@ -168,12 +168,12 @@ def _without_doubles(tracks: list[tuple[int, Array]]) -> list[tuple[int, Array]]
 
 
 def _is_double(rows: Array, longer: Array) -> bool:
-    _, own, other = np.intersect1d(rows[:, 0], longer[:, 0], return_indices=True)
-    if len(own) < max(1.0, IMAGE_TRACKS.together_share * len(rows)):
+    _, common, longer_common = np.intersect1d(rows[:, 0], longer[:, 0], return_indices=True)
+    if len(common) < max(1.0, IMAGE_TRACKS.together_share * len(rows)):
         return False
-    first, second = _boxes(rows[own]), _boxes(longer[other])
+    first, second = _boxes(rows[common]), _boxes(longer[longer_common])
     inside, apart = inside_and_apart(first, second)
-    # Two boxes of one vehicle keep their places in it; a car passes along the lorry that its box lies in.
+    # Two boxes of one vehicle keep their relative position. A car whose box lies in that of a lorry moves along it.
     offset = (feet(first) - feet(second)) / np.maximum(first[:, 2:], second[:, 2:])
     drift = np.ptp(np.percentile(offset, (10, 90), axis=0), axis=0).max()
     return bool(
@@ -191,8 +191,8 @@ def _boxes(rows: Array) -> Array:
 
 def _trajectory(number: int, category_id: int, rows: Array) -> Track:
     """Return a track of rows (M, 5): seconds, position, width and height of the box."""
-    times, place = rows[:, 0], rows[:, 1:3]
-    velocity = np.gradient(place, times, axis=0) if len(times) > 1 else np.zeros_like(place)
+    times, position = rows[:, 0], rows[:, 1:3]
+    velocity = np.gradient(position, times, axis=0) if len(times) > 1 else np.zeros_like(position)
     sigma = np.maximum(1.0, IMAGE_TRACKS.foot_sigma_share * rows[:, 3:].max(axis=1))
     category = CATEGORY_NAMES[category_id - 1]
     return Track(
@@ -201,7 +201,7 @@ def _trajectory(number: int, category_id: int, rows: Array) -> Track:
         class_name=UNKNOWN_CLASS if category == VEHICLE_CATEGORY else category,
         class_confidence=0.0 if category == VEHICLE_CATEGORY else 1.0,
         times_s=times,
-        position=np.column_stack([place, np.zeros(len(times))]),
+        position=np.column_stack([position, np.zeros(len(times))]),
         velocity=velocity,
         heading=np.full(len(times), np.nan),
         covariance=sigma[:, None, None] ** 2 * np.eye(2),

@@ -57,11 +57,11 @@ def first_state(pose: PoseMeasurement) -> State:
     return mean, spread
 
 
-def first_state_at(place: Array, covariance: Array, speed_sigma: float) -> State:
+def first_state_at(position: Array, covariance: Array, speed_sigma: float) -> State:
     """Return the state of a road user after its first detection, with any direction of travel.
 
     Args:
-        place: (2,) world x, y, metres.
+        position: (2,) world x, y, metres.
         covariance: (2, 2) covariance of the position, square metres.
         speed_sigma: Standard deviation of the speed in any direction, m/s.
     """
@@ -69,7 +69,7 @@ def first_state_at(place: Array, covariance: Array, speed_sigma: float) -> State
     spread[:2, :2] = covariance
     spread[2:4, 2:4] = speed_sigma**2 * np.eye(2)
     spread[4:, 4:] = KALMAN_SETTINGS.acceleration_mps2**2 * np.eye(2)
-    return np.array([*place, 0, 0, 0, 0], dtype=np.float64), spread
+    return np.array([*position, 0, 0, 0, 0], dtype=np.float64), spread
 
 
 def motion(dt: float) -> tuple[Array, Array]:
@@ -84,8 +84,8 @@ def motion(dt: float) -> tuple[Array, Array]:
     Q1 = KALMAN_SETTINGS.jerk_density * np.array(
         [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
     )
-    both = np.eye(2)  # x and y move independently by the same model
-    return np.asarray(np.kron(F1, both)), np.asarray(np.kron(Q1, both), dtype=np.float64)
+    identity = np.eye(2)  # x and y move independently by the same model
+    return np.asarray(np.kron(F1, identity)), np.asarray(np.kron(Q1, identity), dtype=np.float64)
 
 
 def predicted_state(state: State, F: Array, Q: Array) -> State:
@@ -112,12 +112,12 @@ def updated(state: State, pose: PoseMeasurement) -> State:
     return _rolling(*updated_at(state, pose.place, pose.covariance), pose)
 
 
-def updated_at(state: State, place: Array, covariance: Array) -> State:
+def updated_at(state: State, position: Array, covariance: Array) -> State:
     """Return a state updated with a position.
 
     Args:
         state: Mean (6,) and covariance (6, 6).
-        place: (2,) world x, y, metres.
+        position: (2,) world x, y, metres.
         covariance: (2, 2) covariance of the position, square metres.
     """
     mean, spread = state
@@ -126,7 +126,7 @@ def updated_at(state: State, place: Array, covariance: Array) -> State:
     kept[:, :2] -= gain
     # Joseph's form stays symmetric and positive definite over any number of steps.
     after = kept @ spread @ kept.T + gain @ covariance @ gain.T
-    return mean + gain @ (place - mean[:2]), after
+    return mean + gain @ (position - mean[:2]), after
 
 
 def _rolling(mean: Array, spread: Array, pose: PoseMeasurement) -> State:

@@ -69,18 +69,18 @@ def draw_camera(axes: "Axes", camera: Camera) -> "Bbox":
     from matplotlib.patches import Polygon, Wedge
     from matplotlib.patheffects import withStroke
 
-    place, yaw, unit = camera.position[:2], camera.angles[0], unit_m(axes)
+    position, yaw, unit = camera.position[:2], camera.angles[0], unit_m(axes)
     half = math.atan(camera.width / 2 / camera.K[0, 0])
     edges = np.degrees([yaw - half, yaw + half])
-    axes.add_patch(Wedge(place.tolist(), 6 * unit, *edges, facecolor=CAMERA_COLOR, alpha=0.3, zorder=4))
+    axes.add_patch(Wedge(position.tolist(), 6 * unit, *edges, facecolor=CAMERA_COLOR, alpha=0.3, zorder=4))
     ahead = np.array([math.cos(yaw), math.sin(yaw)])
     across = np.array([-ahead[1], ahead[0]])
     # A box with the widening lens in front of it.
     side = [(-1.6, 0.8), (0.2, 0.8), (0.2, 0.35), (1.1, 0.8)]
     shape = side + [(a, -b) for a, b in reversed(side)]
-    body = [place + unit * (a * ahead + b * across) for a, b in shape]
+    body = [position + unit * (a * ahead + b * across) for a, b in shape]
     axes.add_patch(Polygon(body, facecolor=CAMERA_COLOR, edgecolor="white", linewidth=0.8, zorder=8))
-    name = place - 3 * unit * ahead
+    name = position - 3 * unit * ahead
     text = axes.text(
         float(name[0]),
         float(name[1]),
@@ -130,14 +130,14 @@ def draw_labels(
             0, 0, name, fontsize=8, color=INK_COLOR, ha="center", va="center", zorder=10,
             bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": FAINT_COLOR, "linewidth": 0.5},
         )  # fmt: skip
-        own = text.get_window_extent()
-        half = np.array([own.width, own.height]) / 2 + 5
+        label_box = text.get_window_extent()
+        half = np.array([label_box.width, label_box.height]) / 2 + 5
         anchor = axes.transData.transform(track.position[i, :2])
         free = [
             middle
             for middle in _around(anchor, half)
             if inside.count_contains((box := _box_around([middle - half, middle + half])).corners()) == 4
-            and not any(box.overlaps(other) for other in taken)
+            and not any(box.overlaps(taken_box) for taken_box in taken)
         ]
         if not free:
             text.remove()

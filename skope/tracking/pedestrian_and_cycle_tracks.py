@@ -126,7 +126,7 @@ class _Open:
         step.detection = detection
         self.scores.update(detection.scores)
         if detection.point is not None:
-            step.filtered = kalman.updated_at(step.filtered, detection.point.place, detection.point.covariance)
+            step.filtered = kalman.updated_at(step.filtered, detection.point.position, detection.point.covariance)
             self.last_s = step.time_s
 
     @property
@@ -215,7 +215,7 @@ def follow_road_users(
                 known = _begun(frame, time_s, detection, detection.point)
                 live.append(known)
             if known is not None:
-                _own(owners, known, detection.links, live)
+                _claim_links(owners, known, detection.links, live)
         for track in live:
             if time_s - track.steps[0].time_s > 2 * FOOT_TRACKS.lag_s:
                 track.settle(time_s - FOOT_TRACKS.lag_s)
@@ -225,7 +225,7 @@ def follow_road_users(
     return [replace(track, number=number) for number, track in enumerate(tracks, start=first_number)]
 
 
-def _own(owners: dict[Link, _Open], track: _Open, links: Sequence[Link], live: Sequence[_Open]) -> None:
+def _claim_links(owners: dict[Link, _Open], track: _Open, links: Sequence[Link], live: Sequence[_Open]) -> None:
     """Give a track the numbers of its detection that no other open track has."""
     for link in links:
         if link not in owners or owners[link] not in live:
@@ -234,7 +234,7 @@ def _own(owners: dict[Link, _Open], track: _Open, links: Sequence[Link], live: S
 
 def _begun(frame: int, time_s: float, detection: GroundDetection, point: GroundPoint) -> _Open:
     speed = FIRST_SPEED_SIGMAS[CATEGORY_NAMES[detection.category_id - 1]]
-    state = kalman.first_state_at(point.place, point.covariance, speed)
+    state = kalman.first_state_at(point.position, point.covariance, speed)
     begun = _Open([_Step(frame, time_s, np.eye(6), state, state, detection)], time_s)
     begun.scores.update(detection.scores)
     return begun
@@ -280,7 +280,7 @@ def _distances(tracks: Sequence[_Open], points: Sequence[tuple[int, GroundPoint]
     """
     means = np.array([track.state[0][:2] for track in tracks]).reshape(-1, 1, 2)
     spreads = np.array([track.state[1][:2, :2] for track in tracks]).reshape(-1, 1, 2, 2)
-    places = np.array([point.place for _, point in points]).reshape(1, -1, 2)
+    places = np.array([point.position for _, point in points]).reshape(1, -1, 2)
     covariances = np.array([point.covariance for _, point in points]).reshape(1, -1, 2, 2)
     away = places - means
     total = spreads + covariances + FOOT_TRACKS.slack_m**2 * np.eye(2)

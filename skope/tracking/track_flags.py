@@ -48,7 +48,7 @@ class FlagLimits:
     """Minimum speed at which a direction of travel is used, m/s."""
     same_path_m: float = 1.5
     """Vehicles that pass within this distance of each other use the same path, metres. Also the grid's cell size."""
-    fewest_others: int = 5
+    fewest_vehicles: int = 5
     """Minimum number of vehicles in the opposite direction, and of vehicles in a flow."""
     opposite_rad: float = math.radians(150)
     """Minimum angle between opposite directions, radians."""
@@ -161,10 +161,10 @@ def _impossible(track: Track) -> NDArray[np.bool_]:
 
 
 def _against_traffic(tracks: Sequence[Track]) -> set[int]:
-    """Return the numbers of tracks that for most of their way meet only vehicles in the opposite direction."""
+    """Return the numbers of tracks that meet only vehicles in the opposite direction on most of their path."""
     moving = [(track, np.flatnonzero(track.speed > FLAG_LIMITS.direction_mps)) for track in tracks]
     moving = [(track, rows) for track, rows in moving if rows.size]
-    if len(moving) <= FLAG_LIMITS.fewest_others:
+    if len(moving) <= FLAG_LIMITS.fewest_vehicles:
         return set()
     places = np.concatenate([track.xy[rows] for track, rows in moving])
     ahead = np.concatenate([_directions(track, rows) for track, rows in moving])
@@ -175,10 +175,10 @@ def _against_traffic(tracks: Sequence[Track]) -> set[int]:
         few = near[:: math.ceil(len(near) / FLAG_LIMITS.first_neighbours)]
         along = (ahead[here] @ ahead[few].T > 0) & (owner[here, None] != owner[few])
         for i in here[~along.any(axis=1)]:
-            others = near[owner[near] != owner[i]]
-            cosine = ahead[others] @ ahead[i]
-            opposite = np.unique(owner[others[cosine < math.cos(FLAG_LIMITS.opposite_rad)]])
-            alone[i] = len(opposite) >= FLAG_LIMITS.fewest_others and not (cosine > 0).any()
+            other_rows = near[owner[near] != owner[i]]
+            cosine = ahead[other_rows] @ ahead[i]
+            opposite = np.unique(owner[other_rows[cosine < math.cos(FLAG_LIMITS.opposite_rad)]])
+            alone[i] = len(opposite) >= FLAG_LIMITS.fewest_vehicles and not (cosine > 0).any()
     return {track.number for k, (track, _) in enumerate(moving) if alone[owner == k].mean() > 0.5}
 
 
@@ -186,20 +186,20 @@ def _implausible_speeds(tracks: Sequence[Track]) -> set[int]:
     """Return the numbers of tracks with a speed that contradicts the flow at most of the spots that they pass.
 
     Spots are counted, not moments: a vehicle that waits at a traffic light has the speed of the flow on most of its
-    way.
+    path.
     """
-    if len(tracks) <= FLAG_LIMITS.fewest_others:
+    if len(tracks) <= FLAG_LIMITS.fewest_vehicles:
         return set()
     rows = [_spots(track) for track in tracks]
-    places = np.concatenate([track.xy[own] for track, own in zip(tracks, rows, strict=True)])
-    times = np.concatenate([track.times_s[own] for track, own in zip(tracks, rows, strict=True)])
-    speeds = np.concatenate([track.speed[own] for track, own in zip(tracks, rows, strict=True)])
-    sigmas = np.concatenate([track.speed_sigma[own] for track, own in zip(tracks, rows, strict=True)])
-    velocities = np.concatenate([track.velocity[own] for track, own in zip(tracks, rows, strict=True)])
+    places = np.concatenate([track.xy[spots] for track, spots in zip(tracks, rows, strict=True)])
+    times = np.concatenate([track.times_s[spots] for track, spots in zip(tracks, rows, strict=True)])
+    speeds = np.concatenate([track.speed[spots] for track, spots in zip(tracks, rows, strict=True)])
+    sigmas = np.concatenate([track.speed_sigma[spots] for track, spots in zip(tracks, rows, strict=True)])
+    velocities = np.concatenate([track.velocity[spots] for track, spots in zip(tracks, rows, strict=True)])
     slow = speeds < FLAG_LIMITS.direction_mps  # headings of these tracks are often wrong, even by 180 degrees
     ahead = velocities / np.maximum(speeds, FLAG_LIMITS.direction_mps)[:, None]
-    owner = np.repeat(np.arange(len(tracks)), [len(own) for own in rows])
-    compared = np.concatenate([_spread_evenly(len(own), FLAG_LIMITS.flow_spots) for own in rows])
+    owner = np.repeat(np.arange(len(tracks)), [len(spots) for spots in rows])
+    compared = np.concatenate([_spread_evenly(len(spots), FLAG_LIMITS.flow_spots) for spots in rows])
     contradicted = np.zeros(len(places), dtype=bool)
     for here, near in _by_cell(places):
         near = near[np.argsort(times[near], kind="stable")]
@@ -211,17 +211,17 @@ def _implausible_speeds(tracks: Sequence[Track]) -> set[int]:
             flow &= slow[i] | slow[window] | (ahead[window] @ ahead[i] > math.cos(FLAG_LIMITS.flow_angle_rad))
             nearest = window[flow][np.argsort(apart_s[flow], kind="stable")]
             _, first = np.unique(owner[nearest], return_index=True)
-            others = speeds[nearest[np.sort(first)[: FLAG_LIMITS.flow_tracks]]]
-            contradicted[i] = len(others) >= FLAG_LIMITS.fewest_others and _contradicts(
-                others, float(speeds[i]), float(sigmas[i])
+            flow_speeds = speeds[nearest[np.sort(first)[: FLAG_LIMITS.flow_tracks]]]
+            contradicted[i] = len(flow_speeds) >= FLAG_LIMITS.fewest_vehicles and _contradicts(
+                flow_speeds, float(speeds[i]), float(sigmas[i])
             )
     return {track.number for k, track in enumerate(tracks) if contradicted[compared & (owner == k)].mean() > 0.5}
 
 
-def _contradicts(others: Array, speed: float, sigma: float) -> bool:
+def _contradicts(flow_speeds: Array, speed: float, sigma: float) -> bool:
     """Return whether the speeds of a flow (N,) contradict a speed with standard deviation `sigma`, m/s."""
-    median = float(np.median(others))
-    spread = FLAG_LIMITS.mad_sigma * float(np.median(np.abs(others - median)))
+    median = float(np.median(flow_speeds))
+    spread = FLAG_LIMITS.mad_sigma * float(np.median(np.abs(flow_speeds - median)))
     slower, faster = sorted((speed, median))
     return faster > FLAG_LIMITS.flow_factor * slower and faster - slower > FLAG_LIMITS.flow_sigmas * math.hypot(
         spread, sigma
@@ -252,7 +252,7 @@ def _by_cell(places: Array) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]
     at = dict(zip(map(tuple, found.tolist()), members, strict=True))
     for (x, y), here in at.items():
         around = [at.get((x + dx, y + dy)) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
-        yield here, np.concatenate([own for own in around if own is not None])
+        yield here, np.concatenate([indices for indices in around if indices is not None])
 
 
 def _directions(track: Track, rows: NDArray[np.intp]) -> Array:

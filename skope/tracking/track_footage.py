@@ -71,8 +71,8 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
     progress = poses_kept(job.out)
     if progress.count:
         console.say(f"{scene.file.name}: resuming after the poses of {progress.count} images")
-    refused = Counter[str]()
-    every = followed(job, times, progress, refused, console)
+    rejections = Counter[str]()
+    every = followed(job, times, progress, rejections, console)
     camera = scene.camera_of(scene.file.images[0])
     index = [image.frame_index if image.frame_index is not None else i for i, image in enumerate(scene.file.images)]
     write_tracks(job.out / TRACKS_CSV, every, index)
@@ -120,18 +120,18 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
     doubtful = Counter(flag for track in (*tracks, *road_users) for flag in track.flags)
     if doubtful:
         yield f"of these: {', '.join(f'{number} {flag}' for flag, number in sorted(doubtful.items()))}"
-    if refused.total():
-        why = ", ".join(f"{number} {reason}" for reason, number in refused.most_common())
-        yield f"{counted(refused.total(), 'detection')} without a pose: {why}"
+    if rejections.total():
+        why = ", ".join(f"{number} {reason}" for reason, number in rejections.most_common())
+        yield f"{counted(rejections.total(), 'detection')} without a pose: {why}"
     if scene.has_truth:
         yield from speed_errors(scene, tracks)
 
 
 def start_time_of(scene: Scene, start_time: datetime | None) -> datetime | None:
     """Return the time of second 0: `start_time`, else the start of a live stream from the file of frames, else None."""
-    said = scene.file.info.get(START_TIME_KEY)
+    text = scene.file.info.get(START_TIME_KEY)
     where = f"{scene.file.name}: info.{START_TIME_KEY}"
-    return read_start_time(said, where) if start_time is None and said is not None else start_time
+    return read_start_time(text, where) if start_time is None and text is not None else start_time
 
 
 def poses_kept(folder: Path) -> Progress:
@@ -140,7 +140,7 @@ def poses_kept(folder: Path) -> Progress:
 
 
 def followed(
-    job: TrackJob, times: Sequence[float], progress: Progress, refused: Counter[str], console: Console
+    job: TrackJob, times: Sequence[float], progress: Progress, rejections: Counter[str], console: Console
 ) -> list[Track]:
     """Return the tracks of vehicles, then of other road users, with flags, rounded as in tracks.csv.
 
@@ -150,11 +150,11 @@ def followed(
         job: The footage and the tracking settings.
         times: Time of each image, seconds, as `times_of` returns them.
         progress: Poses of earlier images, as `poses_kept` returns them.
-        refused: Counter of the reasons why vehicles have no pose; updated in place.
+        rejections: Counter of the reasons why vehicles have no pose; updated in place.
         console: Console for the progress.
     """
     scene = job.scene
-    seen = console.bar(_seen(job, progress, refused), total=len(times), unit="image", label="poses")
+    seen = console.bar(_seen(job, progress, rejections), total=len(times), unit="image", label="poses")
     tracks = flagged(track_vehicles(seen, times))
     road_users = _road_users(job, times, 1 + len(tracks))
     if scene.ground is not None:
@@ -208,9 +208,9 @@ def _write_road_users(job: TrackJob, tracks: list[Track]) -> list[str]:
     """Write MOTChallenge files of pedestrians and two-wheelers, by category; return the files' names."""
     written = []
     for number, category in enumerate(CATEGORY_NAMES[1:], start=2):
-        own = [track for track in tracks if track.category == category]
-        if own:
-            write_mot(job.out / f"mot_{category}.txt", own)
+        category_tracks = [track for track in tracks if track.category == category]
+        if category_tracks:
+            write_mot(job.out / f"mot_{category}.txt", category_tracks)
             written.append(f"mot_{category}.txt")
         truth = [user for user in job.scene.file.road_users if user.category_id == number]
         if truth:
@@ -225,8 +225,8 @@ def _road_user_words(job: TrackJob, tracks: list[Track]) -> Iterator[str]:
         counts = Counter(track.category for track in tracks)
         yield f"also: {', '.join(counted(counts[name], name) for name in CATEGORY_NAMES if counts[name])}"
     elif job.scene.ground is None and len(job.scene.file.categories) > 1:
-        others = ", ".join(job.scene.file.categories[1:])
-        yield f"{others}: no tracks, because the height of the road is unknown (--ground)"
+        categories = ", ".join(job.scene.file.categories[1:])
+        yield f"{categories}: no tracks, because the height of the road is unknown (--ground)"
 
 
 def _road(job: TrackJob, camera: Camera, console: Console) -> NDArray[np.uint8] | None:
@@ -239,10 +239,10 @@ def _road(job: TrackJob, camera: Camera, console: Console) -> NDArray[np.uint8] 
     return road if road is not None and road.shape[1::-1] == (camera.width, camera.height) else None
 
 
-def _seen(job: TrackJob, progress: Progress, refused: Counter[str]) -> Iterator[list[Detection]]:
+def _seen(job: TrackJob, progress: Progress, rejections: Counter[str]) -> Iterator[list[Detection]]:
     """Yield the vehicles of each image: from an earlier, interrupted run, or located now.
 
-    `refused` counts the reasons why vehicles have no pose.
+    `rejections` counts the reasons why vehicles have no pose.
     """
     earlier = itertools.islice(progress.rows(), progress.count)
     for view in job.scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise):
@@ -251,7 +251,7 @@ def _seen(job: TrackJob, progress: Progress, refused: Counter[str]) -> Iterator[
         else:
             found = detections_of(locate_view(view, job.scene), linked=job.scene.file.info.get(FOLLOWED_KEY) is True)
             progress.add({"sights": [detection_to_dict(detection) for detection in found]})
-        refused.update(one.refused for one in found if one.refused)
+        rejections.update(detection.refused for detection in found if detection.refused)
         yield found
 
 

@@ -68,8 +68,8 @@ def detections_of(image: Located, *, linked: bool = True) -> list[Detection]:
         vehicle = view.truth[i]
         truth = vehicle.track_id if vehicle else None
         link = int(view.tracks[i]) if linked and view.tracks[i] >= 0 else None
-        refused = poses.refusal[i] if poses.refusal[i] != INTERPOLATED_REASON else None
-        out.append(Detection(view.boxes[i], float(view.scores[i]), truth, pose if good else None, link, refused))
+        reason = poses.refusal[i] if poses.refusal[i] != INTERPOLATED_REASON else None
+        out.append(Detection(view.boxes[i], float(view.scores[i]), truth, pose if good else None, link, reason))
     return out
 
 
@@ -79,7 +79,7 @@ def detection_to_dict(detection: Detection) -> dict[str, Any]:
     values |= {name: getattr(detection, name) for name in ("score", "truth_id", "link", "refused")}
     if (pose := detection.pose) is not None:
         arrays = {name: getattr(pose, name).tolist() for name in ("place", "covariance", "size_lwh")}
-        values["pose"] = {one.name: getattr(pose, one.name) for one in fields(pose)} | arrays
+        values["pose"] = {pose_field.name: getattr(pose, pose_field.name) for pose_field in fields(pose)} | arrays
     return values
 
 

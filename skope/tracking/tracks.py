@@ -250,7 +250,7 @@ def begin(
 
 def finished(track: OpenTrack, number: int) -> Track:
     """Return an ended track as a whole. `track` is emptied."""
-    names = [one.name for one in fields(TrackPart)]
+    names = [column.name for column in fields(TrackPart)]
     columns = {name: np.concatenate([getattr(part, name) for part in track.parts]) for name in names}
     track.parts = []  # otherwise both copies stay in memory
     states, located = columns["states"], np.isfinite(columns["headings"])

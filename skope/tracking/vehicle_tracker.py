@@ -210,7 +210,8 @@ def _approach(detection: Detection, recent: deque[tuple[int, float, list[Detecti
         if not boxes:
             break
         overlap = box_math.iou(
-            box_math.xywh_to_xyxy(detection.bbox[None]), box_math.xywh_to_xyxy(np.array([one.bbox for one in boxes]))
+            box_math.xywh_to_xyxy(detection.bbox[None]),
+            box_math.xywh_to_xyxy(np.array([earlier.bbox for earlier in boxes])),
         )[0]
         if overlap.max() < TRACKER_LIMITS.continuing_iou:
             break
@@ -225,17 +226,17 @@ def _associate(live: list[OpenTrack], image: Sequence[Detection], time_s: float)
     Returns:
         The detections of new vehicles, and those without a pose that belong to no track.
     """
-    places = [whereabouts(track, time_s) for track in live]
+    regions = [whereabouts(track, time_s) for track in live]
     posed = [(detection, detection.pose) for detection in image if detection.pose is not None]
     left = dict(enumerate(posed))
     cost = np.array(
         [
-            [_cost(track, pose) if place is None or place.holds(detection) else math.inf for detection, pose in posed]
-            for track, place in zip(live, places, strict=True)
+            [_cost(track, pose) if region is None or region.holds(detection) else math.inf for detection, pose in posed]
+            for track, region in zip(live, regions, strict=True)
         ]
     ).reshape(len(live), len(posed))
-    same, other = _by_link(live, [detection for detection, _ in posed])
-    cost = np.where(other, np.inf, cost)
+    same, elsewhere = _by_link(live, [detection for detection, _ in posed])
+    cost = np.where(elsewhere, np.inf, cost)
     for t, s in [*np.argwhere(same).tolist(), *_clear_pairs(live, posed, time_s)]:
         if np.isfinite(cost[t, s]):
             live[t].update(*posed[s])
@@ -255,7 +256,9 @@ def _associate(live: list[OpenTrack], image: Sequence[Detection], time_s: float)
 def _by_link(live: Sequence[OpenTrack], detections: Sequence[Detection]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return (T, S) whether track and detection are linked, and (T, S) whether the detection is linked elsewhere."""
     of_track = np.array([-1 if track.link is None else track.link for track in live], dtype=np.int64)
-    of_detection = np.array([-1 if one.link is None else one.link for one in detections], dtype=np.int64)
+    of_detection = np.array(
+        [-1 if detection.link is None else detection.link for detection in detections], dtype=np.int64
+    )
     same = (of_track[:, None] == of_detection) & (of_detection >= 0)
     return same, same.any(axis=0) & ~same & (of_track >= 0)[:, None]
 
@@ -274,8 +277,8 @@ def _clear_pairs(live: Sequence[OpenTrack], posed: Sequence[Posed], time_s: floa
     )
     out = []
     for k, s in np.argwhere(overlap >= TRACKER_LIMITS.jump_iou).tolist():
-        others = max(np.delete(overlap[k], s).max(initial=0.0), np.delete(overlap[:, s], k).max(initial=0.0))
-        if overlap[k, s] >= TRACKER_LIMITS.clear_ratio * others:
+        next_best = max(np.delete(overlap[k], s).max(initial=0.0), np.delete(overlap[:, s], k).max(initial=0.0))
+        if overlap[k, s] >= TRACKER_LIMITS.clear_ratio * next_best:
             out.append((fresh[k][0], s))
     return out
 
@@ -300,7 +303,7 @@ def _without_duplicates(live: Sequence[OpenTrack], new: list[Posed]) -> list[Pos
         if unseen:
             _take_by_box(unseen[0], detection)
         elif not around and not any(
-            inside_vehicle(other, pose.place - other.place, pose.covariance) for _, other in out
+            inside_vehicle(kept_pose, pose.place - kept_pose.place, pose.covariance) for _, kept_pose in out
         ):
             out.append((detection, pose))
     return out
@@ -308,8 +311,8 @@ def _without_duplicates(live: Sequence[OpenTrack], new: list[Posed]) -> list[Pos
 
 def _can_be(track: OpenTrack, detection: Detection) -> bool:
     """Return whether the track's vehicle can be at the image position of a detection in the latest frame."""
-    place = whereabouts(track, track.steps[-1].time_s)
-    return place is None or place.holds(detection)
+    region = whereabouts(track, track.steps[-1].time_s)
+    return region is None or region.holds(detection)
 
 
 def _cost(track: OpenTrack, pose: PoseMeasurement) -> float:
@@ -342,8 +345,8 @@ def _by_box(live: list[OpenTrack], rest: list[Detection], least: float, time_s: 
         box_math.xywh_to_xyxy(np.array([box for _, box in free])),
         box_math.xywh_to_xyxy(np.array([detection.bbox for detection in rest])),
     )
-    same, other = _by_link([track for track, _ in free], rest)
-    overlap = np.where(same, 1.0, np.where(other, 0.0, overlap))
+    same, elsewhere = _by_link([track for track, _ in free], rest)
+    overlap = np.where(same, 1.0, np.where(elsewhere, 0.0, overlap))
     given = []
     for t, s in zip(*linear_sum_assignment(-overlap), strict=True):
         if overlap[t, s] >= least and _can_be(free[t][0], rest[s]):

@@ -185,7 +185,9 @@ class _TrackRows:
             raise self.wrong(self.rows[0], "track", "a whole number")
         return int(self.rows[0]["track"])
 
-    def one(self, name: str, holds: Callable[[float], bool], expected: str, *, empty: bool = False) -> float | None:
+    def constant(
+        self, name: str, holds: Callable[[float], bool], expected: str, *, empty: bool = False
+    ) -> float | None:
         """Return the number of a column that is constant over the track; None for an empty cell."""
         value = float(_numbers(self.path, self.rows[:1], name, empty=empty)[0])
         if math.isnan(value):
@@ -227,9 +229,9 @@ def _track(rows: _TrackRows) -> Track:
     if (spread[:, [0, 2]] < 0).any() or (speed_sigma < 0).any():
         bad = rows.rows[int(np.flatnonzero((spread[:, [0, 2]] < 0).any(axis=1) | (speed_sigma < 0))[0])]
         raise rows.wrong(bad, "sigma_xx", "variances and standard deviations that are not negative")
-    confidence = rows.one("class_confidence", lambda value: 0 <= value <= 1, "a probability from 0 to 1")
+    confidence = rows.constant("class_confidence", lambda value: 0 <= value <= 1, "a probability from 0 to 1")
     sizes: dict[str, Any] = {
-        name: rows.one(name, lambda value: value > 0, "a length above 0", empty=True)
+        name: rows.constant(name, lambda value: value > 0, "a length above 0", empty=True)
         for name in ("length", "width", "height")
     }
     located = rows.columns("located") > 0

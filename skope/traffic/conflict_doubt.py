@@ -18,7 +18,7 @@ from skope.types import Array
 
 
 @dataclass(frozen=True)
-class ConflictDoubt:
+class ConflictUncertainty:
     """Minimum quality of tracks in conflicts, and number of draws for their uncertainty."""
 
     step_s: float = 0.1
@@ -41,7 +41,7 @@ class ConflictDoubt:
     """Largest standard deviation of the position at the conflict, metres."""
 
 
-CONFLICT_DOUBT: Final = ConflictDoubt()
+CONFLICT_UNCERTAINTY: Final = ConflictUncertainty()
 
 
 def is_followed(trajectory: Track, time_s: float) -> bool:
@@ -50,23 +50,30 @@ def is_followed(trajectory: Track, time_s: float) -> bool:
     Nearly all conflicts of track fragments and of short false detections are false.
     """
     times = trajectory.times_s[trajectory.located]
-    if len(times) < CONFLICT_DOUBT.fewest_positions or times[-1] - times[0] < CONFLICT_DOUBT.shortest_s:
+    if len(times) < CONFLICT_UNCERTAINTY.fewest_positions or times[-1] - times[0] < CONFLICT_UNCERTAINTY.shortest_s:
         return False
-    margin_s = CONFLICT_DOUBT.around_s - CONFLICT_DOUBT.longest_gap_s
+    margin_s = CONFLICT_UNCERTAINTY.around_s - CONFLICT_UNCERTAINTY.longest_gap_s
     if not times[0] <= time_s - margin_s <= time_s + margin_s <= times[-1]:
         return False
-    gap_s = trajectory.longest_gap(time_s, CONFLICT_DOUBT.around_s)
-    return gap_s <= CONFLICT_DOUBT.longest_gap_s and trajectory.sigma_at(time_s) <= CONFLICT_DOUBT.worst_sigma_m
+    gap_s = trajectory.longest_gap(time_s, CONFLICT_UNCERTAINTY.around_s)
+    return (
+        gap_s <= CONFLICT_UNCERTAINTY.longest_gap_s
+        and trajectory.sigma_at(time_s) <= CONFLICT_UNCERTAINTY.worst_sigma_m
+    )
 
 
 def ttc_interval(
-    one: FootprintPath, other: FootprintPath, row: tuple[int, int], settings: TrafficSettings, rng: np.random.Generator
+    first: FootprintPath,
+    second: FootprintPath,
+    row: tuple[int, int],
+    settings: TrafficSettings,
+    rng: np.random.Generator,
 ) -> tuple[float, float, float]:
     """Return the interval of a time to collision, and the probability that it is within the limit.
 
     Args:
-        one: Path of the first road user.
-        other: Path of the second road user.
+        first: Path of the first road user.
+        second: Path of the second road user.
         row: Rows of both paths at the conflict.
         settings: `ttc_s` is the limit.
         rng: Random generator for positions and speeds.
@@ -75,15 +82,15 @@ def ttc_interval(
         Low and high end of the 90% interval, seconds (infinite: there may be no collision), and the probability that
         the time is within the limit and both are road users.
     """
-    index, doubt = _drawn(one, other, row, rng)
-    drawn = times_to_collision(one, other, index, _farthest_s(settings), doubt)
-    both = event_probability(one.trajectory) * event_probability(other.trajectory)
-    return *_middle(drawn), both * float((drawn <= settings.ttc_s).mean())
+    index, states = _drawn(first, second, row, rng)
+    drawn = times_to_collision(first, second, index, _farthest_s(settings), states)
+    real_probability = event_probability(first.trajectory) * event_probability(second.trajectory)
+    return *_middle(drawn), real_probability * float((drawn <= settings.ttc_s).mean())
 
 
 def hardest_needed(
-    one: FootprintPath,
-    other: FootprintPath,
+    first: FootprintPath,
+    second: FootprintPath,
     rows: tuple[NDArray[np.intp], NDArray[np.intp]],
     seconds: Array,
     settings: TrafficSettings,
@@ -93,8 +100,8 @@ def hardest_needed(
     """Return the largest deceleration that avoids a collision.
 
     Args:
-        one: Path of the first road user.
-        other: Path of the second road user.
+        first: Path of the first road user.
+        second: Path of the second road user.
         rows: (K,) rows of each path.
         seconds: (K,) times to collision at these rows, seconds.
         settings: `ttc_s` sets how far ahead collisions are searched for.
@@ -104,51 +111,53 @@ def hardest_needed(
     Returns:
         The deceleration, m/s², and the low and high end of its 90% interval; all NaN if there is no collision.
     """
-    drac = deceleration_to_avoid(one, other, rows, seconds)
+    drac = deceleration_to_avoid(first, second, rows, seconds)
     if not len(drac) or drac.max() <= 0:
         return (math.nan,) * 3
     k = int(drac.argmax())
-    index, doubt = _drawn(one, other, (int(rows[0][k]), int(rows[1][k])), rng, CONFLICT_DOUBT.braking_samples)
-    ahead = times_to_collision(one, other, index, _farthest_s(settings), doubt)
+    index, states = _drawn(first, second, (int(rows[0][k]), int(rows[1][k])), rng, CONFLICT_UNCERTAINTY.braking_samples)
+    ahead = times_to_collision(first, second, index, _farthest_s(settings), states)
     # Both share the camera's error: it scales distances and speeds by the same factor, so times do not change.
     scale = (
-        np.maximum(0.0, 1 + common_scale_sigma * rng.standard_normal(CONFLICT_DOUBT.braking_samples))
+        np.maximum(0.0, 1 + common_scale_sigma * rng.standard_normal(CONFLICT_UNCERTAINTY.braking_samples))
         if common_scale_sigma
         else 1.0
     )
-    return float(drac[k]), *_middle(scale * deceleration_to_avoid(one, other, index, ahead, doubt))
+    return float(drac[k]), *_middle(scale * deceleration_to_avoid(first, second, index, ahead, states))
 
 
-def surely_encroaches(one: FootprintPath, other: FootprintPath, i: int, j: int, most_s: float) -> bool:
+def surely_encroaches(first: FootprintPath, second: FootprintPath, i: int, j: int, most_s: float) -> bool:
     """Return whether there is an encroachment even if both road users are smaller than measured.
 
     Length and width of each are reduced by the width of the 90% interval of its position.
 
     Args:
-        one: Path of the first road user.
-        other: Path of the second road user.
-        i: Row of `one` at the encounter.
-        j: Row of `other` at the encounter.
+        first: Path of the first road user.
+        second: Path of the second road user.
+        i: Row of `first` at the encounter.
+        j: Row of `second` at the encounter.
         most_s: Longest post-encroachment time, seconds. One second is added for the search.
     """
     shrunk = []
-    for path, row in ((one, i), (other, j)):
+    for path, row in ((first, i), (second, j)):
         spread = path.trajectory.at(path.trajectory.total_covariance, float(path.times_s[row]))
         sides = path.facing[row], np.array([-path.facing[row, 1], path.facing[row, 0]])
         size = [
             max(0.1, extent - 2 * INTERVAL_SIGMAS * math.sqrt(max(0.0, float(side @ spread @ side))))
             for extent, side in zip(path.size, sides, strict=True)
         ]
-        shrunk.append(FootprintPath(replace(path.trajectory, length=size[0], width=size[1]), CONFLICT_DOUBT.step_s))
+        shrunk.append(
+            FootprintPath(replace(path.trajectory, length=size[0], width=size[1]), CONFLICT_UNCERTAINTY.step_s)
+        )
     return by_places(shrunk[0], shrunk[1], most_s + 1.0) is not None
 
 
-def pet_sigma(one: FootprintPath, other: FootprintPath, reached: Encroachment | None) -> float:
+def pet_sigma(first: FootprintPath, second: FootprintPath, reached: Encroachment | None) -> float:
     """Return the standard deviation of a post-encroachment time, from errors of positions and lengths.
 
     Args:
-        one: Path of the first road user.
-        other: Path of the second road user.
+        first: Path of the first road user.
+        second: Path of the second road user.
         reached: The encroachment; None if there is none.
 
     Returns:
@@ -157,7 +166,7 @@ def pet_sigma(one: FootprintPath, other: FootprintPath, reached: Encroachment | 
     if reached is None:
         return math.nan
     total = 0.0
-    for path, time_s in zip((one, other), in_order((reached.first_s, reached.second_s), reached), strict=True):
+    for path, time_s in zip((first, second), in_order((reached.first_s, reached.second_s), reached), strict=True):
         trajectory = path.trajectory
         speed = max(0.1, float(trajectory.at(trajectory.speed, time_s)))
         total += (trajectory.sigma_at(time_s) ** 2 + (VEHICLE_LENGTH_SIGMA_M / 2) ** 2) / speed**2
@@ -165,25 +174,25 @@ def pet_sigma(one: FootprintPath, other: FootprintPath, reached: Encroachment | 
 
 
 def in_order(times: tuple[float, float], reached: Encroachment) -> tuple[float, float]:
-    """Return times, given in order of arrival, in the order in which the two road users were passed."""
+    """Return two times, given in order of arrival, in the order of the arguments of the search: first, second."""
     return times[::-1] if reached.swapped else times
 
 
 def _farthest_s(settings: TrafficSettings) -> float:
     """Return the look-ahead for collisions of random draws, seconds. It is four times that of the measured one."""
-    return 4 * max(settings.ttc_s, CONFLICT_DOUBT.horizon_s)
+    return 4 * max(settings.ttc_s, CONFLICT_UNCERTAINTY.horizon_s)
 
 
 def _drawn(
-    one: FootprintPath,
-    other: FootprintPath,
+    first: FootprintPath,
+    second: FootprintPath,
     rows: tuple[int, int],
     rng: np.random.Generator,
-    count: int = CONFLICT_DOUBT.samples,
+    count: int = CONFLICT_UNCERTAINTY.samples,
 ) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], SampledStates]:
     """Return one pair of rows, repeated `count` times, with randomly drawn positions and speeds."""
     shifts, speeds = [], []
-    for path, row in zip((one, other), rows, strict=True):
+    for path, row in zip((first, second), rows, strict=True):
         time_s, trajectory = float(path.times_s[row]), path.trajectory
         shifts.append(rng.multivariate_normal(np.zeros(2), trajectory.at(trajectory.total_covariance, time_s), count))
         sigma = float(trajectory.at(trajectory.speed_sigma, time_s))

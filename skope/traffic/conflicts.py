@@ -17,7 +17,7 @@ from skope.site.gates_zones_lanes import Zone
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track, has_plausible_speed, is_in_traffic
 from skope.traffic.conflict_doubt import (
-    CONFLICT_DOUBT,
+    CONFLICT_UNCERTAINTY,
     hardest_needed,
     in_order,
     is_followed,
@@ -137,10 +137,10 @@ def _approaches(
 ) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Array]:
     """Return the rows of the times at which the two are near each other, and the times to their collision."""
     a, b = rows_together(first, second)
-    horizon = max(settings.ttc_s, CONFLICT_DOUBT.horizon_s)
+    horizon = max(settings.ttc_s, CONFLICT_UNCERTAINTY.horizon_s)
     speeds = first.speed[a] + second.speed[b]
     reach = first.radius + second.radius + speeds * horizon
-    close = (np.linalg.norm(first.place[a] - second.place[b], axis=1) < reach) & (
+    close = (np.linalg.norm(first.position[a] - second.position[b], axis=1) < reach) & (
         np.maximum(first.speed[a], second.speed[b]) >= CONFLICT_LIMITS.moving_mps
     )
     rows = a[close], b[close]
@@ -154,9 +154,11 @@ def _approaches(
 
 def _angle_of_ways(first: FootprintPath, second: FootprintPath, i: int, j: int) -> float:
     """Return the angle between two paths, degrees, where one path is nearest to the position of the other road user."""
-    here = int(np.linalg.norm(first.place - second.place[j], axis=1).argmin())
-    there = int(np.linalg.norm(second.place - first.place[i], axis=1).argmin())
-    return float(min(angle_deg(first.facing[here], second.facing[j]), angle_deg(first.facing[i], second.facing[there])))
+    first_row = int(np.linalg.norm(first.position - second.position[j], axis=1).argmin())
+    second_row = int(np.linalg.norm(second.position - first.position[i], axis=1).argmin())
+    return float(
+        min(angle_deg(first.facing[first_row], second.facing[j]), angle_deg(first.facing[i], second.facing[second_row]))
+    )
 
 
 def _row(path: FootprintPath, time_s: float) -> int:
@@ -165,7 +167,7 @@ def _row(path: FootprintPath, time_s: float) -> int:
 
 def _behind(first: FootprintPath, second: FootprintPath, i: int, j: int) -> bool:
     """Return whether `second` is ahead of `first`."""
-    return bool((second.place[j] - first.place[i]) @ first.facing[i] > 0)
+    return bool((second.position[j] - first.position[i]) @ first.facing[i] > 0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -181,10 +183,10 @@ class Conflict:
     first_s: float
     """Time of the smallest time to collision. Without one: time at which `first` was at the place. Seconds of the
     footage."""
-    place: Array
+    position: Array
     """(2,) midpoint between the two road users at the conflict, metres."""
     zone: str
-    """Name of the zone that contains `place`; empty for none."""
+    """Name of the zone that contains `position`; empty for none."""
     kind: str
     """Conflict type by angle (SSAM): "rear end", "lane change" or "crossing"."""
     angle_deg: float
@@ -243,7 +245,7 @@ def conflicts(
         The conflicts in order of time, and the numbers of excluded pairs.
     """
     followed = [track for track in trajectories if is_in_traffic(track) and has_plausible_speed(track)]
-    made = footprint_paths(followed, CONFLICT_DOUBT.step_s)
+    made = footprint_paths(followed, CONFLICT_UNCERTAINTY.step_s)
     found, overlapping, poorly_tracked_pairs = [], 0, 0
     for first, second in _pairs(made, settings.pet_s):
         if not near(first, second, max(settings.pet_s, settings.ttc_s)):
@@ -277,9 +279,9 @@ def _pairs(made: Sequence[FootprintPath], late_s: float) -> Iterator[tuple[Footp
 def _overlapping(first: FootprintPath, second: FootprintPath) -> bool:
     """Return whether the footprints ever overlap if each is reduced to 80% of its size."""
     a, b = rows_together(first, second)
-    close = np.linalg.norm(first.place[a] - second.place[b], axis=1) < first.radius + second.radius
+    close = np.linalg.norm(first.position[a] - second.position[b], axis=1) < first.radius + second.radius
     shrunk = [
-        path.place[rows, None] + 0.8 * (path.corners[rows] - path.place[rows, None])
+        path.position[rows, None] + 0.8 * (path.corners[rows] - path.position[rows, None])
         for path, rows in ((first, a[close]), (second, b[close]))
     ]
     return bool(overlap(*shrunk).any())
@@ -300,25 +302,25 @@ def _conflict(
         if encounter.crossing_angle_deg >= COLLISION_LIMITS.rear_end_deg
         else None
     )
-    told = ttc_interval(first, second, (i, j), settings, rng) if encounter.close else (math.nan,) * 3
+    interval = ttc_interval(first, second, (i, j), settings, rng) if encounter.close else (math.nan,) * 3
     hardest, drac_low, drac_high = hardest_needed(
         first, second, encounter.rows, encounter.seconds, settings, rng, common_scale_sigma
     )
     (earlier, first_s), (later, second_s) = encounter.in_order()
-    middle = (first.place[i] + second.place[j]) / 2
+    middle = (first.position[i] + second.position[j]) / 2
     return Conflict(
         first=earlier.trajectory,
         second=later.trajectory,
         time_s=second_s,
         first_s=first_s,
-        place=middle,
+        position=middle,
         zone=next((zone.name for zone in zones if inside_polygon(np.array(zone.polygon), middle[None])[0]), ""),
         kind=_kind(angle),
         angle_deg=angle,
         ttc_s=encounter.ttc_s,
-        ttc_low_s=told[0],
-        ttc_high_s=told[1],
-        probability=told[2],
+        ttc_low_s=interval[0],
+        ttc_high_s=interval[1],
+        probability=interval[2],
         drac_ms2=hardest,
         drac_low_ms2=drac_low,
         drac_high_ms2=drac_high,

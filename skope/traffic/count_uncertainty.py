@@ -142,8 +142,8 @@ class CountDistribution:
     def _pmfs(self) -> tuple[Array, Array]:
         shifts = np.asarray(self.shifts or (0,), dtype=np.int64)
         fewer, more = (np.bincount(np.maximum(0, sign * shifts)) / len(shifts) for sign in (-1, 1))
-        false = _sum_pmf([fewer, *(one.false_pmf() for one in self.errors)])
-        return false, _sum_pmf([more, *(one.added_pmf() for one in self.errors)])
+        false = _sum_pmf([fewer, *(group_errors.false_pmf() for group_errors in self.errors)])
+        return false, _sum_pmf([more, *(group_errors.added_pmf() for group_errors in self.errors)])
 
 
 def count_interval(probabilities: Sequence[float], missed: Beta) -> CountInterval:
@@ -161,7 +161,7 @@ def count_interval(probabilities: Sequence[float], missed: Beta) -> CountInterva
 def hull(intervals: Iterable[CountInterval]) -> CountInterval:
     """Return the smallest interval that contains all intervals."""
     rows = list(intervals)
-    return CountInterval(min(one.low for one in rows), max(one.high for one in rows))
+    return CountInterval(min(interval.low for interval in rows), max(interval.high for interval in rows))
 
 
 def _sum_pmf(pmfs: Iterable[Array]) -> Array:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 from zoneinfo import ZoneInfo
 
 from skope.errors import UserError
-from skope.site.site_file import year_doubt
+from skope.site.site_file import year_problem
 
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
@@ -51,7 +51,7 @@ def time_of(text: Any, where: str, like: str = "2026-11-26T10:00:00") -> datetim
         time = datetime.fromisoformat(text)
     except (TypeError, ValueError):
         time = datetime.min
-    if year_doubt(time):
+    if year_problem(time):
         raise UserError(f"{where}: expected a time like {like}, got {text!r:.40}")
     return time
 

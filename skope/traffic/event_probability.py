@@ -121,8 +121,8 @@ def miss_rate_groups(pixels_per_metre: float | None) -> tuple[MissRateGroup, ...
         rejects_losing_gates=True,
         too_small=pixels_per_metre is not None and pixels_per_metre < vehicle["small_px_per_m"],
     )
-    others = (_TWO_WHEELED, frozenset({PEDESTRIAN_CATEGORY}))
-    return vehicles, *(MissRateGroup(one, missed, came, too_small=size == "tiny") for one in others)
+    remaining_classes = (_TWO_WHEELED, frozenset({PEDESTRIAN_CATEGORY}))
+    return vehicles, *(MissRateGroup(classes, missed, came, too_small=size == "tiny") for classes in remaining_classes)
 
 
 def image_miss_rate_groups(vehicle_px: float | None) -> tuple[MissRateGroup, ...]:
@@ -212,7 +212,7 @@ def same_probability(track: Track, begin_s: float, end_s: float, step_s: float) 
 
 def usual_step(tracks: Sequence[Track]) -> float:
     """Return the median time between positions of all tracks, seconds; 0.1 if there are none."""
-    steps = [np.diff(one.times_s[one.located]) for one in tracks]
+    steps = [np.diff(track.times_s[track.located]) for track in tracks]
     every = np.concatenate([np.zeros(0), *steps])
     return float(np.median(every)) if len(every) else EVENT_FACTORS.usual_step_s
 

@@ -14,11 +14,11 @@ _NODE_M: Final = 0.3
 """Minimum distance between nodes of a path, metres. Jitter of positions therefore does not lengthen the path."""
 
 
-def footprint_corners(place: Array, facing: Array, size: tuple[float, float]) -> Array:
+def footprint_corners(centre: Array, facing: Array, size: tuple[float, float]) -> Array:
     """Return the corners of rectangles.
 
     Args:
-        place: (..., 2) centres, metres.
+        centre: (..., 2) centres, metres.
         facing: (..., 2) unit vectors along the length.
         size: Length and width, metres.
 
@@ -28,27 +28,27 @@ def footprint_corners(place: Array, facing: Array, size: tuple[float, float]) ->
     across = np.stack([-facing[..., 1], facing[..., 0]], axis=-1)
     offsets = UNIT_CORNERS * size
     along, aside = offsets[:, :1] * facing[..., None, :], offsets[:, 1:] * across[..., None, :]
-    return np.asarray(place[..., None, :] + along + aside)
+    return np.asarray(centre[..., None, :] + along + aside)
 
 
-def meeting(one: Array, velocity: Array, other: Array, other_velocity: Array) -> tuple[Array, Array]:
+def meeting(first: Array, first_velocity: Array, second: Array, second_velocity: Array) -> tuple[Array, Array]:
     """Return the period in which two rectangles with constant velocities overlap.
 
     The method is that of separating axes: rectangles overlap if their projections on the directions of all sides
     overlap.
 
     Args:
-        one: (..., 4, 2) corners of the first rectangle.
-        velocity: (..., 2) its velocity, m/s.
-        other: (..., 4, 2) corners of the second rectangle.
-        other_velocity: (..., 2) its velocity, m/s.
+        first: (..., 4, 2) corners of the first rectangle.
+        first_velocity: (..., 2) its velocity, m/s.
+        second: (..., 4, 2) corners of the second rectangle.
+        second_velocity: (..., 2) its velocity, m/s.
 
     Returns:
         (...,) start and (...,) end of the overlap, seconds from now. Start > end if they never overlap.
     """
-    away = other.mean(axis=-2) - one.mean(axis=-2)
-    rate_xy = other_velocity - velocity
-    halves = [(shape[..., 0, :] - shape[..., k, :]) / 2 for shape in (one, other) for k in (1, 3)]
+    away = second.mean(axis=-2) - first.mean(axis=-2)
+    rate_xy = second_velocity - first_velocity
+    halves = [(shape[..., 0, :] - shape[..., k, :]) / 2 for shape in (first, second) for k in (1, 3)]
     begin, end = np.full(away.shape[:-1], -np.inf), np.full(away.shape[:-1], np.inf)
     for axis in halves:
         reach = sum(np.abs(_dot(half, axis)) for half in halves)
@@ -67,10 +67,10 @@ def _dot(a: Array, b: Array) -> Array:
     return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1])
 
 
-def overlap(one: Array, other: Array) -> NDArray[np.bool_]:
+def overlap(first: Array, second: Array) -> NDArray[np.bool_]:
     """Return (...,) whether rectangles (..., 4, 2) overlap or touch."""
-    still = np.zeros((*one.shape[:-2], 2))
-    begin, end = meeting(one, still, other, still)
+    still = np.zeros((*first.shape[:-2], 2))
+    begin, end = meeting(first, still, second, still)
     return np.asarray(begin <= end)
 
 
@@ -84,9 +84,9 @@ class FootprintPath:
         first, last = int(np.ceil(times[0] / step_s - 1e-9)), int(np.floor(times[-1] / step_s + 1e-9))
         self.ticks = np.arange(first, last + 1)
         self.times_s = np.asarray(self.ticks * step_s, dtype=np.float64)
-        self.place, self.facing = self.at(self.times_s)
+        self.position, self.facing = self.at(self.times_s)
         self.speed = trajectory.at(trajectory.speed, self.times_s)
-        self.corners = footprint_corners(self.place, self.facing, self.size)
+        self.corners = footprint_corners(self.position, self.facing, self.size)
         self._radius = float(np.hypot(*self.size)) / 2
         self._nodes = self._by_length()
         self.along = np.interp(self.ticks, self._nodes[0], self._nodes[1][:-1])
@@ -98,17 +98,17 @@ class FootprintPath:
 
     def at(self, times_s: Array) -> tuple[Array, Array]:
         """Return positions (..., 2) and unit vectors (..., 2) to the front at times (...,)."""
-        place = self.trajectory.at(self.trajectory.xy, times_s)
+        position = self.trajectory.at(self.trajectory.xy, times_s)
         facing = self.trajectory.at(self.trajectory.facing, times_s)
-        return place, facing / np.maximum(np.linalg.norm(facing, axis=-1, keepdims=True), 1e-9)
+        return position, facing / np.maximum(np.linalg.norm(facing, axis=-1, keepdims=True), 1e-9)
 
     def _by_length(self) -> tuple[Array, Array, Array, Array]:
         """Return ticks (N,) of the nodes, and distances, positions and headings of the nodes and of a straight end."""
         rows = [0] if len(self.ticks) else []
         for i in range(1, len(self.ticks)):
-            if np.hypot(*(self.place[i] - self.place[rows[-1]])) >= _NODE_M:
+            if np.hypot(*(self.position[i] - self.position[rows[-1]])) >= _NODE_M:
                 rows.append(i)
-        places, facings, ticks = self.place[rows], self.facing[rows], self.ticks[rows].astype(float)
+        places, facings, ticks = self.position[rows], self.facing[rows], self.ticks[rows].astype(float)
         far = 1000.0
         places = np.concatenate([places, places[-1:] + far * facings[-1:]])
         facings = np.concatenate([facings, facings[-1:]])
@@ -124,10 +124,14 @@ class FootprintPath:
         here = np.stack([np.interp(self.along[rows], lengths, places[:, k]) for k in (0, 1)], axis=-1)
         facing = np.stack([np.interp(along, lengths, facings[:, k]) for k in (0, 1)], axis=-1)
         norm = np.maximum(np.linalg.norm(facing, axis=-1, keepdims=True), 1e-9)
-        return at + self.place[rows] - here, facing / norm
+        return at + self.position[rows] - here, facing / norm
 
 
 def footprint_paths(trajectories: Sequence[Track], step_s: float) -> list[FootprintPath]:
     """Return the paths of tracks with at least two sampled times."""
-    made = [FootprintPath(one, step_s) for one in trajectories if one.times_s[-1] - one.times_s[0] >= 2 * step_s]
-    return [one for one in made if len(one.ticks) > 1]
+    made = [
+        FootprintPath(trajectory, step_s)
+        for trajectory in trajectories
+        if trajectory.times_s[-1] - trajectory.times_s[0] >= 2 * step_s
+    ]
+    return [path for path in made if len(path.ticks) > 1]

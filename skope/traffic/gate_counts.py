@@ -60,7 +60,7 @@ def passenger_cars(crossings: Sequence[GateCrossing], factors: Mapping[str, floa
         crossings: Crossings of one gate and direction.
         factors: Result of `pce_factors` for this gate and direction.
     """
-    return None if factors is None else round(sum(factors[one.trajectory.class_name] for one in crossings), 3)
+    return None if factors is None else round(sum(factors[crossing.trajectory.class_name] for crossing in crossings), 3)
 
 
 ALL_CLASSES: Final = "all"
@@ -129,31 +129,39 @@ def interval_counts(
     """
     out = []
     factors = {
-        (gate.name, k): pce_factors([one for one in crossings if (one.gate, one.direction) == (gate.name, k)], settings)
+        (gate.name, k): pce_factors(
+            [crossing for crossing in crossings if (crossing.gate, crossing.direction) == (gate.name, k)], settings
+        )
         for gate in gates
         for k in (0, 1)
     }
     for interval in intervals:
         observed_s = observation.seconds_in(interval.begin_s, interval.end_s)
-        there, doubtful = (
-            [one for one in every if interval.begin_s <= one.time_s < interval.end_s]
+        in_interval, doubtful_in_interval = (
+            [crossing for crossing in every if interval.begin_s <= crossing.time_s < interval.end_s]
             for every in (crossings, unseen.doubtful)
         )
         for gate in gates:
             for k, direction in enumerate(direction_names(gate)):
-                own, perhaps = (
-                    [one for one in every if one.gate == gate.name and one.direction == k]
-                    for every in (there, doubtful)
+                at_gate, doubtful_at_gate = (
+                    [crossing for crossing in every if crossing.gate == gate.name and crossing.direction == k]
+                    for every in (in_interval, doubtful_in_interval)
                 )
-                used = [lane for lane in lanes if any(one.lane == lane for one in crossings if one.gate == gate.name)]
+                used = [
+                    lane
+                    for lane in lanes
+                    if any(crossing.lane == lane for crossing in crossings if crossing.gate == gate.name)
+                ]
                 for lane, class_name in _kinds(used, settings, by_class=by_class):
-                    told = None
+                    bounds = None
                     if observed_s > 0 and gate.name not in unseen.gates:
                         classes = classes_of(class_name, settings)
-                        told = row_interval([*own, *perhaps], unseen, (gate.name, k), interval, lane, classes)
+                        bounds = row_interval(
+                            [*at_gate, *doubtful_at_gate], unseen, (gate.name, k), interval, lane, classes
+                        )
                     pce = None
                     if observed_s > 0 and class_name == ALL_CLASSES:
-                        in_lane = [one for one in own if lane in (ALL_CLASSES, one.lane)]
+                        in_lane = [crossing for crossing in at_gate if lane in (ALL_CLASSES, crossing.lane)]
                         pce = passenger_cars(in_lane, factors[gate.name, k])
                     out.append(
                         Count(
@@ -163,8 +171,8 @@ def interval_counts(
                             direction=direction,
                             lane=lane,
                             class_name=class_name,
-                            count=_number(own, lane, classes_of(class_name, settings)) if observed_s > 0 else None,
-                            confidence_interval=told,
+                            count=_number(at_gate, lane, classes_of(class_name, settings)) if observed_s > 0 else None,
+                            confidence_interval=bounds,
                             pce=pce,
                         )
                     )
@@ -197,7 +205,9 @@ def classes_of(class_name: str, settings: TrafficSettings) -> frozenset[str]:
 
 
 def _number(crossings: Sequence[GateCrossing], lane: str, classes: Collection[str]) -> int:
-    return sum(lane in (ALL_CLASSES, one.lane) and one.trajectory.class_name in classes for one in crossings)
+    return sum(
+        lane in (ALL_CLASSES, crossing.lane) and crossing.trajectory.class_name in classes for crossing in crossings
+    )
 
 
 def is_in_row(crossing: GateCrossing, lane: str, classes: Collection[str]) -> bool:
@@ -229,19 +239,19 @@ def row_interval(
         The interval; None in the cases of `confidence_interval`.
     """
     most = partial(unseen.most, *side, interval)
-    count = sum(is_in_row(one, lane, classes) for one in crossings)
+    count = sum(is_in_row(crossing, lane, classes) for crossing in crossings)
     shifts = [
         sum(
-            (one.gate, one.direction) == side
-            and interval.begin_s <= one.time_s < interval.end_s
-            and is_in_row(one, lane, classes)
-            for one in other
+            (crossing.gate, crossing.direction) == side
+            and interval.begin_s <= crossing.time_s < interval.end_s
+            and is_in_row(crossing, lane, classes)
+            for crossing in drawn_crossings
         )
         - count
-        for other in unseen.other_cameras.get(side[0], ())
+        for drawn_crossings in unseen.other_cameras.get(side[0], ())
     ]
     found = [confidence_interval(crossings, kinds, most, lane, classes, shifts) for kinds in unseen.kind_sets(*side)]
-    known = [one for one in found if one is not None]
+    known = [bounds for bounds in found if bounds is not None]
     return hull(known) if len(known) == len(found) else None
 
 
@@ -284,14 +294,19 @@ def distribution_of(
         named = kind.classes - {UNKNOWN_CLASS}
         if not named & set(classes):
             continue
-        own = [one for one in crossings if one.trajectory.class_name in kind.classes]
-        if kind.loses(sum(one.is_counted for one in own), most(kind.classes)):
+        group_crossings = [crossing for crossing in crossings if crossing.trajectory.class_name in kind.classes]
+        if kind.loses(sum(crossing.is_counted for crossing in group_crossings), most(kind.classes)):
             return None
         whole = named <= set(classes)
         false, uncounted = [], []
-        for one in own:
-            chance = kind.real * one.probability * _in_lane(one, lane) * (1.0 if whole else _of_classes(one, classes))
-            if is_in_row(one, lane, kind.classes if whole else classes):
+        for crossing in group_crossings:
+            chance = (
+                kind.real
+                * crossing.probability
+                * _in_lane(crossing, lane)
+                * (1.0 if whole else _of_classes(crossing, classes))
+            )
+            if is_in_row(crossing, lane, kind.classes if whole else classes):
                 false.append(1 - chance)
             elif chance > 0:
                 uncounted.append(chance)

@@ -75,7 +75,7 @@ class GateCrossing:
     """Time at which the front crosses, seconds of the footage; NaN if not available."""
     rear_s: float
     """Time at which the rear crosses, seconds of the footage; NaN if not available."""
-    place: Array
+    position: Array
     """(2,) position of the crossing, metres."""
     speed: float
     """Speed at the crossing, m/s."""
@@ -131,7 +131,7 @@ def _line_of(gate: Gate, observation: Observation | None) -> Outline:
     return line_on_road(camera, np.array(gate_at_size(gate, size).pixels), ground)
 
 
-def gates_of_other_cameras(gates: Sequence[Gate], observation: Observation) -> list[tuple[Gate, ...]]:
+def gates_of_drawn_cameras(gates: Sequence[Gate], observation: Observation) -> list[tuple[Gate, ...]]:
     """Return the surveyed gates relative to the tracks under cameras drawn from the calibration covariance.
 
     A surveyed line is exact, but all tracks share the camera's error. The error therefore shifts the gate relative to
@@ -210,9 +210,9 @@ def gate_crossings(
         for trajectory in trajectories
         if may_count(trajectory, settings)
         for gate in gates
-        for crossing in _of_one(trajectory, gate, lanes, settings, step_s, metres)
+        for crossing in _crossings_of_track(trajectory, gate, lanes, settings, step_s, metres)
     ]
-    return sorted(found, key=lambda one: (one.time_s, one.trajectory.number, one.gate))
+    return sorted(found, key=lambda crossing: (crossing.time_s, crossing.trajectory.number, crossing.gate))
 
 
 def _axis(gate: Gate) -> tuple[Array, Array]:
@@ -236,7 +236,7 @@ def signed_distances(gate: Gate, places: Array) -> tuple[Array, Array]:
     return along[0] * away[:, 1] - along[1] * away[:, 0], away @ along
 
 
-def _of_one(
+def _crossings_of_track(
     trajectory: Track, gate: Gate, lanes: LaneMap, settings: TrafficSettings, step_s: float, metres: bool
 ) -> list[GateCrossing]:
     signed, along = signed_distances(gate, trajectory.xy)
@@ -313,8 +313,8 @@ def _crossing(
     covariance = trajectory.at(trajectory.total_covariance, time_s)
     sigma_m = _sigma(normal, covariance)
     across = max(abs(float(normal @ velocity)), GATE_LIMITS.slowest_mps)
-    place = trajectory.at(trajectory.xy, time_s)
-    lane, lane_probability = lanes.lane_at(place, covariance)
+    position = trajectory.at(trajectory.xy, time_s)
+    lane, lane_probability = lanes.lane_at(position, covariance)
     sure = at_most(passage.depth / sigma_m) if sigma_m > 0 else 1.0
     real = crossing_probability(trajectory, time_s, step_s, metres=metres)
     doubts = {"begins": passage.begins, "ends": passage.ends, "beside": between < 1 - GATE_LIMITS.beside_probability}
@@ -327,7 +327,7 @@ def _crossing(
         sigma_s=math.hypot(sigma_m / across, passage.spread_s, _along_s(trajectory, velocity, metres=metres)),
         front_s=_end_time(trajectory, gate, trajectory.front, passage, rule),
         rear_s=_end_time(trajectory, gate, trajectory.rear, passage, rule),
-        place=place,
+        position=position,
         speed=float(np.linalg.norm(velocity)),
         speed_sigma=float(trajectory.at(trajectory.speed_sigma, time_s)),
         lane=lane,
@@ -351,8 +351,8 @@ def _end_time(trajectory: Track, gate: Gate, places: Array, passage: LineCrossin
     """
     signed, _ = signed_distances(gate, places)
     times = [
-        one.time_s
-        for one in line_crossings(signed, trajectory.times_s, **rule, places=None)
-        if one.from_side == passage.from_side and not one.begins
+        end_passage.time_s
+        for end_passage in line_crossings(signed, trajectory.times_s, **rule, places=None)
+        if end_passage.from_side == passage.from_side and not end_passage.begins
     ]
     return min(times, key=lambda time_s: abs(time_s - passage.time_s)) if times else math.nan

@@ -52,12 +52,12 @@ def lane_streams(crossings: Sequence[GateCrossing]) -> Iterator[list[GateCrossin
     Pedestrians are excluded.
     """
 
-    def key(one: GateCrossing) -> tuple[str, int, str]:
-        return one.gate, one.direction, one.lane
+    def key(crossing: GateCrossing) -> tuple[str, int, str]:
+        return crossing.gate, crossing.direction, crossing.lane
 
-    driving = [one for one in crossings if one.trajectory.category != PEDESTRIAN_CATEGORY]
-    for _, own in itertools.groupby(sorted(driving, key=key), key):
-        yield sorted(own, key=lambda one: one.time_s if math.isnan(one.front_s) else one.front_s)
+    driving = [crossing for crossing in crossings if crossing.trajectory.category != PEDESTRIAN_CATEGORY]
+    for _, stream in itertools.groupby(sorted(driving, key=key), key):
+        yield sorted(stream, key=lambda crossing: crossing.time_s if math.isnan(crossing.front_s) else crossing.front_s)
 
 
 def headways(crossings: Sequence[GateCrossing], observation: Observation) -> list[Headway]:
@@ -70,11 +70,11 @@ def headways(crossings: Sequence[GateCrossing], observation: Observation) -> lis
             gap_s=follower.front_s - leader.rear_s,
             sigma_s=math.hypot(leader.end_sigma_s, follower.end_sigma_s),
         )
-        for own in lane_streams(crossings)
-        for leader, follower in itertools.pairwise(own)
+        for stream in lane_streams(crossings)
+        for leader, follower in itertools.pairwise(stream)
         if observation.together(leader.time_s, follower.time_s)
     ]
-    return sorted(out, key=lambda one: one.follower.time_s)
+    return sorted(out, key=lambda headway: headway.follower.time_s)
 
 
 def occupancies(
@@ -90,25 +90,29 @@ def occupancies(
         observation: The observed times.
     """
     out = []
-    for own in lane_streams([one for one in crossings if one.trajectory.category == VEHICLE_CATEGORY]):
+    for stream in lane_streams(
+        [crossing for crossing in crossings if crossing.trajectory.category == VEHICLE_CATEGORY]
+    ):
         for interval in intervals:
             observed_s = observation.seconds_in(interval.begin_s, interval.end_s)
             if observed_s <= 0:
                 continue
-            there = [one for one in own if interval.begin_s <= one.time_s < interval.end_s]
-            whole = [one for one in own if not math.isnan(one.rear_s - one.front_s)]
-            spans = [(max(one.front_s, interval.begin_s), min(one.rear_s, interval.end_s)) for one in whole]
-            inside = [(span, one) for span, one in zip(spans, whole, strict=True) if span[1] > span[0]]
+            in_interval = [crossing for crossing in stream if interval.begin_s <= crossing.time_s < interval.end_s]
+            whole = [crossing for crossing in stream if not math.isnan(crossing.rear_s - crossing.front_s)]
+            spans = [
+                (max(crossing.front_s, interval.begin_s), min(crossing.rear_s, interval.end_s)) for crossing in whole
+            ]
+            inside = [(span, crossing) for span, crossing in zip(spans, whole, strict=True) if span[1] > span[0]]
             out.append(
                 Occupancy(
                     interval=interval,
-                    gate=own[0].gate,
-                    direction=own[0].direction_name,
-                    lane=own[0].lane,
+                    gate=stream[0].gate,
+                    direction=stream[0].direction_name,
+                    lane=stream[0].lane,
                     observed_s=observed_s,
                     occupied_s=_union([span for span, _ in inside]),
-                    sigma_s=math.sqrt(sum(2 * one.end_sigma_s**2 for _, one in inside)),
-                    excluded_vehicles=sum(math.isnan(one.rear_s - one.front_s) for one in there),
+                    sigma_s=math.sqrt(sum(2 * crossing.end_sigma_s**2 for _, crossing in inside)),
+                    excluded_vehicles=sum(math.isnan(crossing.rear_s - crossing.front_s) for crossing in in_interval),
                 )
             )
     return out

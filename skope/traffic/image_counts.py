@@ -88,11 +88,11 @@ def count_in_image(
                 [track], gates, LaneMap(()), _in_pixels(track, settings), metres=False, step_s=step_s
             )
         ),
-        key=lambda one: one.time_s,
+        key=lambda crossing: crossing.time_s,
     )
     kinds = {gate.name: image_miss_rate_groups(_vehicle_px(tracks, gate)) for gate in gates}
     missed = unseen(tracks, gates, every, observation, settings, IMAGE_GATES.near_px, kinds)
-    crossed = [one for one in every if one.is_counted]
+    crossed = [crossing for crossing in every if crossing.is_counted]
     checks = manual_count_checks(manual_counts, crossed, missed, settings)
     missed = counts_adjusted_by_manual_counts(checks, crossed, missed, gates, settings)
     moved = movements(crossed, settings)
@@ -139,14 +139,14 @@ def _vehicle_px(tracks: Sequence[Track], gate: Gate) -> float | None:
     On a road the height of boxes is a linear function of the row of their foot. The fitted line also gives the height
     in rows where vehicles are too small to be detected.
     """
-    vehicles = [one for one in tracks if one.category == VEHICLE_CATEGORY]
-    rows = np.concatenate([np.zeros(0), *(-one.xy[:, 1] for one in vehicles)])
-    heights = np.concatenate([np.zeros(0), *(one.boxes[:, 3] for one in vehicles)])
+    vehicles = [track for track in tracks if track.category == VEHICLE_CATEGORY]
+    rows = np.concatenate([np.zeros(0), *(-vehicle.xy[:, 1] for vehicle in vehicles)])
+    heights = np.concatenate([np.zeros(0), *(vehicle.boxes[:, 3] for vehicle in vehicles)])
     rows, heights = rows[np.isfinite(heights)], heights[np.isfinite(heights)]
     if len(rows) < IMAGE_GATES.fewest_boxes or np.ptp(rows) == 0:
         return None
     groups = np.array_split(np.argsort(rows, kind="stable"), IMAGE_GATES.row_groups)
-    medians = np.array([(np.median(rows[own]), np.median(heights[own])) for own in groups])
+    medians = np.array([(np.median(rows[group]), np.median(heights[group])) for group in groups])
     slope, constant = np.polyfit(medians[:, 0], medians[:, 1], 1)
     return float(constant + slope * -np.mean(gate.line, axis=0)[1])
 

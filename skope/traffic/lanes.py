@@ -40,7 +40,7 @@ class LaneChange:
     trajectory: Track
     time_s: float
     """Middle of the time between the two lanes, seconds."""
-    place: Array
+    position: Array
     """(2,) position at `time_s`, metres."""
     from_lane: str
     to_lane: str
@@ -91,9 +91,9 @@ class LaneMap:
         k = beside.argmin(axis=1)
         return np.asarray((np.cumsum(length) - length)[k] + t[np.arange(len(places)), k])
 
-    def lane_at(self, place: Array, covariance: Array) -> tuple[str, float]:
+    def lane_at(self, position: Array, covariance: Array) -> tuple[str, float]:
         """Return the name of the lane at a position (2,), "" for none, and the probability that it is right."""
-        index, away, way = self.indices(place[None])
+        index, away, way = self.indices(position[None])
         if index[0] == LANE_LIMITS.no_lane:
             return "", 1.0
         across = np.array([-way[0, 1], way[0, 0]])
@@ -142,7 +142,7 @@ def lane_changes(trajectories: Sequence[Track], lanes: LaneMap, hysteresis_m: fl
     if len(lanes.lanes) > 1:
         for trajectory in filter(is_in_traffic, trajectories):
             found += _changes(trajectory, lanes, hysteresis_m)
-    return sorted(found, key=lambda one: (one.time_s, one.trajectory.number))
+    return sorted(found, key=lambda change: (change.time_s, change.trajectory.number))
 
 
 def _changes(trajectory: Track, lanes: LaneMap, hysteresis_m: float) -> list[LaneChange]:
@@ -171,7 +171,7 @@ def _changes(trajectory: Track, lanes: LaneMap, hysteresis_m: float) -> list[Lan
             LaneChange(
                 trajectory=trajectory,
                 time_s=time_s,
-                place=trajectory.at(trajectory.xy, time_s),
+                position=trajectory.at(trajectory.xy, time_s),
                 from_lane=lanes.lanes[index[left]].name,
                 to_lane=lanes.lanes[index[entered]].name,
                 probability=math.prod(sure),

@@ -27,7 +27,7 @@ class LeftOutLimits:
 
 LEFT_OUT_LIMITS: Final = LeftOutLimits()
 
-_IN_DOUBT: Final = {"begins": "the track begins at the gate", "ends": "the track ends at the gate"}
+_TRACK_ENDS: Final = {"begins": "the track begins at the gate", "ends": "the track ends at the gate"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,13 +88,13 @@ def _row(time_s: float, track: Track, reason: str) -> LeftOutCrossing:
 
 def _why_not_counted(crossing: GateCrossing, gate: Gate) -> str:
     """Return the reason why `GateCrossing.is_counted` is false."""
-    _, along = signed_distances(gate, crossing.place[None])
+    _, along = signed_distances(gate, crossing.position[None])
     inside = 0 <= along[0] < math.dist(*gate.line)
     reasons = [
         f"probability {crossing.probability:.2f}, below 0.5"
         if inside
         else f"passes beside the end of the gate (probability {crossing.probability:.2f})",
-        *(text for word, text in _IN_DOUBT.items() if word in crossing.uncertainty_flags.split()),
+        *(text for word, text in _TRACK_ENDS.items() if word in crossing.uncertainty_flags.split()),
     ]
     return "; ".join(reasons)
 

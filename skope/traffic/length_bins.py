@@ -164,25 +164,30 @@ def length_counts(
     if OF_VEHICLES.isdisjoint(settings.classes):
         return []
     limits, common = settings.length_bins_m, observation.common_scale_sigma
-    told = [one for one in (*crossings, *unseen.doubtful) if has_length(one.trajectory)]
-    every: list[GateCrossing | LostTrack] = [*told, *(one for one in unseen.vanished if has_length(one.trajectory))]
-    chances: Chances = {one: bin_probabilities(one.trajectory, limits, common) for one in every}
-    names = {one: _bin_of(chances[one]) for one in told}
+    measured = [crossing for crossing in (*crossings, *unseen.doubtful) if has_length(crossing.trajectory)]
+    every: list[GateCrossing | LostTrack] = [
+        *measured,
+        *(lost for lost in unseen.vanished if has_length(lost.trajectory)),
+    ]
+    chances: Chances = {event: bin_probabilities(event.trajectory, limits, common) for event in every}
+    names = {crossing: _bin_of(chances[crossing]) for crossing in measured}
     out = []
     for interval in intervals:
         observed_s = observation.seconds_in(interval.begin_s, interval.end_s)
-        there = [one for one in told if interval.begin_s <= one.time_s < interval.end_s]
+        in_interval = [crossing for crossing in measured if interval.begin_s <= crossing.time_s < interval.end_s]
         for gate in gates:
             for k, direction in enumerate(direction_names(gate)):
-                own = [one for one in there if (one.gate, one.direction) == (gate.name, k)]
+                at_gate = [
+                    crossing for crossing in in_interval if (crossing.gate, crossing.direction) == (gate.name, k)
+                ]
                 known = observed_s > 0 and gate.name not in unseen.gates
                 between = (
-                    _between(own, chances, names, (gate.name, k), interval, limits, unseen) if known else NO_LIMITS
+                    _between(at_gate, chances, names, (gate.name, k), interval, limits, unseen) if known else NO_LIMITS
                 )
                 for name, bounds, confidence_interval in zip(
                     (*LENGTH_BINS, NO_BIN), (*bounds_m(limits), None), between, strict=True
                 ):
-                    number = sum(one.is_counted and names[one] == name for one in own)
+                    number = sum(crossing.is_counted and names[crossing] == name for crossing in at_gate)
                     out.append(
                         LengthCount(
                             interval=interval,
@@ -204,7 +209,7 @@ Chances = dict[GateCrossing | LostTrack, Array]
 
 
 def _between(
-    own: Sequence[GateCrossing],
+    at_gate: Sequence[GateCrossing],
     chances: Chances,
     names: Mapping[GateCrossing, str],
     side: tuple[str, int],
@@ -213,21 +218,25 @@ def _between(
     unseen: MissedCrossings,
 ) -> tuple[CountInterval | None, ...]:
     """Return the intervals of the bins at a gate, from its crossings and lost tracks. `NO_BIN` has None."""
-    (kind,) = (one for one in unseen.kinds_at(*side) if one.classes == OF_VEHICLES)
+    (kind,) = (group for group in unseen.kinds_at(*side) if group.classes == OF_VEHICLES)
     most = partial(unseen.most, *side, interval, kind.classes)
-    if kind.loses(sum(one.is_counted for one in own), most()):
+    if kind.loses(sum(crossing.is_counted for crossing in at_gate), most()):
         return NO_LIMITS
 
-    here = [one for one in unseen.vanished if (one.gate, one.direction) == side]
+    lost_here = [lost_track for lost_track in unseen.vanished if (lost_track.gate, lost_track.direction) == side]
 
-    def told() -> Iterator[CountInterval | None]:
+    def intervals() -> Iterator[CountInterval | None]:
         for k, (shortest, _) in enumerate(bounds_m(limits_m)):
-            may = tuple(one for one in here if one in chances and chances[one][k] >= LENGTH_MODEL.possible_probability)
+            may = tuple(
+                lost_track
+                for lost_track in lost_here
+                if lost_track in chances and chances[lost_track][k] >= LENGTH_MODEL.possible_probability
+            )
             lost = replace(unseen, vanished=may).most(*side, interval, kind.classes)
-            each = {one: kind.real * one.probability * float(chances[one][k]) for one in own}
-            inside = {one for one in own if one.is_counted and names[one] == LENGTH_BINS[k]}
-            false = [1 - each[one] for one in own if one in inside]
-            uncounted = [each[one] for one in own if one not in inside and each[one] > 0]
+            each = {crossing: kind.real * crossing.probability * float(chances[crossing][k]) for crossing in at_gate}
+            inside = {crossing for crossing in at_gate if crossing.is_counted and names[crossing] == LENGTH_BINS[k]}
+            false = [1 - each[crossing] for crossing in at_gate if crossing in inside]
+            uncounted = [each[crossing] for crossing in at_gate if crossing not in inside and each[crossing] > 0]
             errors = CountErrors(false, uncounted, lost, kind.came, kind.missed)
             yield (
                 None
@@ -235,7 +244,7 @@ def _between(
                 else CountDistribution(len(false), [errors]).interval()
             )
 
-    return (*told(), None)
+    return (*intervals(), None)
 
 
 def _errors(trajectory: Track) -> tuple[tuple[float, float], ...]:
@@ -253,10 +262,10 @@ def _shorter_than(trajectory: Track, limit_m: float, common_scale_sigma: float) 
     low, high = LENGTH_MODEL.mistaken_m
     strayed = min(1.0, max(0.0, (limit_m - low) / (high - low)))
     longest = LENGTH_MODEL.longest_car_m if trajectory.class_name == "car" else math.inf
-    told_m = min(trajectory.length, longest)
+    measured_m = min(trajectory.length, longest)
 
     def below(sigma: float, length_m: float) -> float:
-        return at_most((length_m / told_m - 1) / math.hypot(sigma, common_scale_sigma))
+        return at_most((length_m / measured_m - 1) / math.hypot(sigma, common_scale_sigma))
 
     shares = sum(share * below(sigma, min(limit_m, longest)) / below(sigma, longest) for share, sigma in parts)
     return shares + _rest(parts) * strayed

@@ -94,11 +94,11 @@ def learnt_miss_rates(
     Returns:
         The groups by gate and direction. A gate and direction with a manual count always has an interval.
     """
-    told = [(one.side, _trials(one)) for one in evidence]
+    trials = [(count.side, _trials(count)) for count in evidence]
     out = {}
-    for side, own in kinds.items():
-        counted = any(one.side == side for one in evidence)
-        out[side] = tuple(_updated(kind, k, side, told, counted=counted) for k, kind in enumerate(own))
+    for side, groups in kinds.items():
+        counted = any(count.side == side for count in evidence)
+        out[side] = tuple(_updated(kind, k, side, trials, counted=counted) for k, kind in enumerate(groups))
     return out
 
 
@@ -106,14 +106,14 @@ def _updated(
     kind: MissRateGroup,
     number: int,
     side: SignedGate,
-    told: Sequence[tuple[SignedGate, Mapping[int, _Trials]]],
+    evidence: Sequence[tuple[SignedGate, Mapping[int, _Trials]]],
     *,
     counted: bool,
 ) -> MissRateGroup:
     total = _Trials()
-    for other, trials in told:
+    for trial_side, trials in evidence:
         if number in trials:
-            total.add(trials[number], _weight(side, other))
+            total.add(trials[number], _weight(side, trial_side))
     scale = min(1.0, MANUAL_COUNTS.most_trials / max(1.0, total.missed + total.seen))
     a, b = kind.missed
     c, d = kind.came
@@ -129,23 +129,23 @@ def _updated(
     )
 
 
-def _weight(side: SignedGate, other: SignedGate) -> float:
-    if side == other:
+def _weight(side: SignedGate, evidence_side: SignedGate) -> float:
+    if side == evidence_side:
         return MANUAL_COUNTS.same_direction
-    return MANUAL_COUNTS.same_gate if side[0] == other[0] else MANUAL_COUNTS.same_site
+    return MANUAL_COUNTS.same_gate if side[0] == evidence_side[0] else MANUAL_COUNTS.same_site
 
 
-def _trials(one: CountEvidence) -> dict[int, _Trials]:
+def _trials(evidence: CountEvidence) -> dict[int, _Trials]:
     """Return the trials of each group. The difference of the counts is divided in proportion to the expected errors."""
-    counted = sum(len(errors.false) for errors in one.errors.values())
-    lacking, excess = max(0, one.number - counted), max(0, counted - one.number)
-    uncounted = {k: sum(errors.uncounted) for k, errors in one.errors.items()}
-    lost = {k: errors.possible * _mean(errors.came) for k, errors in one.errors.items()}
-    missed = {k: (len(errors.false) + 1) * _odds(errors.missed) for k, errors in one.errors.items()}
-    false = {k: sum(errors.false) + 1e-9 for k, errors in one.errors.items()}
+    counted = sum(len(errors.false) for errors in evidence.errors.values())
+    lacking, excess = max(0, evidence.number - counted), max(0, counted - evidence.number)
+    uncounted = {k: sum(errors.uncounted) for k, errors in evidence.errors.items()}
+    lost = {k: errors.possible * _mean(errors.came) for k, errors in evidence.errors.items()}
+    missed = {k: (len(errors.false) + 1) * _odds(errors.missed) for k, errors in evidence.errors.items()}
+    false = {k: sum(errors.false) + 1e-9 for k, errors in evidence.errors.items()}
     every = sum((*uncounted.values(), *lost.values(), *missed.values())) or 1.0
     out = {}
-    for k, errors in one.errors.items():
+    for k, errors in evidence.errors.items():
         wrong = min(float(len(errors.false)), excess * false[k] / sum(false.values()))
         came = min(float(errors.possible), lacking * lost[k] / every)
         out[k] = _Trials(
@@ -201,17 +201,20 @@ def manual_count_checks(
         settings: The classes that are counted.
     """
     out = []
-    for one in hands:
-        near = one.gate not in unseen.gates
-        own = _seen(one, crossings, unseen)
-        found = _distribution(one, own, unseen, settings) if near else None
+    for hand in hands:
+        near = hand.gate not in unseen.gates
+        crossings_then = _seen(hand, crossings, unseen)
+        found = _distribution(hand, crossings_then, unseen, settings) if near else None
         out.append(
             ManualCountComparison(
-                hand=one,
-                count=sum(each.is_counted and each.trajectory.class_name in one.classes for each in own),
+                hand=hand,
+                count=sum(
+                    crossing.is_counted and crossing.trajectory.class_name in hand.classes
+                    for crossing in crossings_then
+                ),
                 near=near,
                 confidence_interval=None if found is None else found.interval(),
-                contradicts=found is not None and _contradicts(one.number, found),
+                contradicts=found is not None and _contradicts(hand.number, found),
             )
         )
     return out
@@ -219,20 +222,20 @@ def manual_count_checks(
 
 def hand_lines(checks: Sequence[ManualCountComparison]) -> Iterator[str]:
     """Yield a sentence for each manual count that contradicts the automatic count or is not used."""
-    for one in checks:
-        hand = one.hand
+    for check in checks:
+        hand = check.hand
         ends = (hand.interval.begin or hand.interval.begin_s, hand.interval.end or hand.interval.end_s)
         begin, end = (f"{end:%H:%M:%S}" if isinstance(end, datetime) else f"{end:g} s" for end in ends)
         where = f"gate {hand.gate!r} ({hand.direction_name}), {hand.class_name} from {begin} to {end}"
-        if not one.near:
+        if not check.near:
             yield (
                 f"{where}: manual count {hand.number}, but no road user was ever detected near the gate: its counts "
                 "stay unknown"
             )
-        elif one.contradicts:
+        elif check.contradicts:
             yield (
-                f"{where}: manual count {hand.number}, skope {one.count}, expected "
-                f"{in_words(one.confidence_interval)}: they contradict each other; check gate, direction, class and "
+                f"{where}: manual count {hand.number}, skope {check.count}, expected "
+                f"{in_words(check.confidence_interval)}: they contradict each other; check gate, direction, class and "
                 "clock of the manual count, or the gate is unusual; intervals at this gate include both, and other "
                 "gates do not use this manual count"
             )
@@ -260,33 +263,33 @@ def counts_adjusted_by_manual_counts(
     """
     evidence = [
         CountEvidence(
-            side=(one.hand.gate, one.hand.direction),
-            errors=_errors(one.hand, _seen(one.hand, crossings, unseen), unseen, settings),
-            number=one.hand.number,
+            side=(check.hand.gate, check.hand.direction),
+            errors=_errors(check.hand, _seen(check.hand, crossings, unseen), unseen, settings),
+            number=check.hand.number,
         )
-        for one in checks
-        if one.near and not one.contradicts
+        for check in checks
+        if check.near and not check.contradicts
     ]
     sides = [(gate.name, direction) for gate in gates for direction in (0, 1)]
     kinds = {side: unseen.kinds_at(*side) for side in sides}
-    doubted = [one for one in checks if one.contradicts]
+    doubted = [check for check in checks if check.contradicts]
     learnt = learnt_miss_rates(evidence, kinds) if evidence else dict[tuple[str, int], tuple[MissRateGroup, ...]]()
-    for one in doubted:
+    for check in doubted:
         # Only this gate uses the contradicting count. Its intervals also include the rates without it.
-        side = (one.hand.gate, one.hand.direction)
-        own = _errors(one.hand, _seen(one.hand, crossings, unseen), unseen, settings)
-        believed = learnt_miss_rates([CountEvidence(side=side, errors=own, number=one.hand.number)], kinds)
-        learnt |= {other: rates for other, rates in believed.items() if other[0] == side[0]}
-    return replace(unseen, learnt=learnt, contradicted=frozenset(one.hand.gate for one in doubted))
+        side = (check.hand.gate, check.hand.direction)
+        errors = _errors(check.hand, _seen(check.hand, crossings, unseen), unseen, settings)
+        believed = learnt_miss_rates([CountEvidence(side=side, errors=errors, number=check.hand.number)], kinds)
+        learnt |= {learnt_side: rates for learnt_side, rates in believed.items() if learnt_side[0] == side[0]}
+    return replace(unseen, learnt=learnt, contradicted=frozenset(check.hand.gate for check in doubted))
 
 
 def _seen(hand: ManualCount, crossings: Sequence[GateCrossing], unseen: MissedCrossings) -> list[GateCrossing]:
     """Return the crossings of the gate and direction during a manual count, including doubtful ones."""
     side, interval = (hand.gate, hand.direction), hand.interval
     return [
-        one
-        for one in (*crossings, *unseen.doubtful)
-        if (one.gate, one.direction) == side and interval.begin_s <= one.time_s < interval.end_s
+        crossing
+        for crossing in (*crossings, *unseen.doubtful)
+        if (crossing.gate, crossing.direction) == side and interval.begin_s <= crossing.time_s < interval.end_s
     ]
 
 
@@ -296,25 +299,25 @@ def _most(hand: ManualCount, unseen: MissedCrossings) -> Callable[[Collection[st
 
 
 def _errors(
-    hand: ManualCount, own: Sequence[GateCrossing], unseen: MissedCrossings, settings: TrafficSettings
+    hand: ManualCount, crossings: Sequence[GateCrossing], unseen: MissedCrossings, settings: TrafficSettings
 ) -> dict[int, CountErrors]:
     """Return the possible errors of the automatic count, by index of the gate's miss-rate groups."""
     out = {}
     for k, kind in enumerate(unseen.kinds_at(hand.gate, hand.direction)):
         counted = hand.classes & set(settings.classes)
         whole = replace(kind, rejects_losing_gates=False, too_small=False)
-        found = distribution_of(own, [whole], _most(hand, unseen), ALL_CLASSES, counted)
+        found = distribution_of(crossings, [whole], _most(hand, unseen), ALL_CLASSES, counted)
         if found is not None:
             (out[k],) = found.errors
     return out
 
 
 def _distribution(
-    hand: ManualCount, own: Sequence[GateCrossing], unseen: MissedCrossings, settings: TrafficSettings
+    hand: ManualCount, crossings: Sequence[GateCrossing], unseen: MissedCrossings, settings: TrafficSettings
 ) -> CountDistribution | None:
     """Return the automatic count with its errors; None if counts have no interval there."""
     kinds = unseen.kinds_at(hand.gate, hand.direction)
-    return distribution_of(own, kinds, _most(hand, unseen), ALL_CLASSES, hand.classes & set(settings.classes))
+    return distribution_of(crossings, kinds, _most(hand, unseen), ALL_CLASSES, hand.classes & set(settings.classes))
 
 
 def _contradicts(number: int, found: CountDistribution) -> bool:

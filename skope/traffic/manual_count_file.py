@@ -81,12 +81,14 @@ def read_manual_counts(
         raise UserError(f"{path}: column {missing[0]}: missing; expected {','.join(COUNT_COLUMNS)}")
     found: list[ManualCount] = []
     for line, row in enumerate(rows, start=2):
-        one = _manual_count(_Line(path, line, row), gates, settings, start, observation)
-        for before, other in enumerate(found, start=2):
-            if _overlap(one, other):
-                same = "repeats line" if one == other else "has a gate, direction, class and time in common with line"
+        count = _manual_count(_Line(path, line, row), gates, settings, start, observation)
+        for before, earlier in enumerate(found, start=2):
+            if _overlap(count, earlier):
+                same = (
+                    "repeats line" if count == earlier else "has a gate, direction, class and time in common with line"
+                )
                 raise UserError(f"{path}: line {line}: {same} {before}: count each crossing only once")
-        found.append(one)
+        found.append(count)
     if not found:
         raise UserError(f"{path}: expected at least one count, found none")
     return tuple(found)
@@ -101,8 +103,8 @@ class _Line:
     def text(self, column: str) -> str:
         return (self.cells[column] or "").strip()
 
-    def wrong(self, column: str, said: str) -> UserError:
-        return UserError(f"{self.path}: line {self.number}: {column}: {said}")
+    def wrong(self, column: str, message: str) -> UserError:
+        return UserError(f"{self.path}: line {self.number}: {column}: {message}")
 
     def one_of(self, column: str, known: Sequence[str]) -> str:
         # A name may begin or end with a space.
@@ -122,7 +124,7 @@ def _manual_count(
     name = line.one_of("gate", [gate.name for gate in gates])
     directions = direction_names(next(gate for gate in gates if gate.name == name))
     direction = line.one_of("direction", directions)
-    counted = [one for one in settings.classes if one != UNKNOWN_CLASS]
+    counted = [option for option in settings.classes if option != UNKNOWN_CLASS]
     class_name = line.one_of("class", ["", ALL_CLASSES, MOTOR_TRAFFIC, *counted]) or ALL_CLASSES
     begin_s, end_s = (_seconds(line, column, start, observation) for column in ("begin", "end"))
     if end_s <= begin_s:
@@ -141,7 +143,7 @@ def _manual_count(
             f"expected a whole number from 0 to {MANUAL_COUNT_LIMITS.most_crossings}, got "
             f"{text!r:.{MANUAL_COUNT_LIMITS.shown_letters}}",
         )
-    begin, end = (None if start is None else _after(start, one) for one in (begin_s, end_s))
+    begin, end = (None if start is None else _after(start, seconds) for seconds in (begin_s, end_s))
     return ManualCount(
         gate=name,
         direction=directions.index(direction),
@@ -152,10 +154,10 @@ def _manual_count(
     )
 
 
-def _overlap(one: ManualCount, other: ManualCount) -> bool:
-    if (one.gate, one.direction) != (other.gate, other.direction) or not one.classes & other.classes:
+def _overlap(first: ManualCount, second: ManualCount) -> bool:
+    if (first.gate, first.direction) != (second.gate, second.direction) or not first.classes & second.classes:
         return False
-    return one.interval.begin_s < other.interval.end_s and other.interval.begin_s < one.interval.end_s
+    return first.interval.begin_s < second.interval.end_s and second.interval.begin_s < first.interval.end_s
 
 
 def _after(start: datetime, seconds: float) -> datetime:
@@ -169,18 +171,18 @@ def _seconds(line: _Line, column: str, start: datetime | None, observation: Obse
         raise line.wrong(column, "the footage has no frames")
     first, last = float(observation.spans[0, 0]), float(observation.spans[-1, 1])
     text = line.text(column)
-    said = _said_seconds(line, column, start, first, last)
+    candidates = _possible_seconds(line, column, start, first, last)
     within = sorted(
         {
-            min(max(one, first), last)
-            for one in said
-            if first - MANUAL_COUNT_LIMITS.slack_s <= one <= last + MANUAL_COUNT_LIMITS.slack_s
+            min(max(seconds, first), last)
+            for seconds in candidates
+            if first - MANUAL_COUNT_LIMITS.slack_s <= seconds <= last + MANUAL_COUNT_LIMITS.slack_s
         }
     )
     if not within:
         span = f"{first:.1f} to {last:.1f} s"
         if start is not None:
-            clock = (_after(start, one).isoformat(timespec="seconds") for one in (first, last))
+            clock = (_after(start, seconds).isoformat(timespec="seconds") for seconds in (first, last))
             span += f", {' to '.join(clock)}"
         raise line.wrong(column, f"{text!r:.{MANUAL_COUNT_LIMITS.shown_letters}} is not within the footage ({span})")
     if len(within) > 1:
@@ -192,7 +194,7 @@ def _seconds(line: _Line, column: str, start: datetime | None, observation: Obse
     return within[0]
 
 
-def _said_seconds(line: _Line, column: str, start: datetime | None, first: float, last: float) -> list[float]:
+def _possible_seconds(line: _Line, column: str, start: datetime | None, first: float, last: float) -> list[float]:
     """Return all seconds that a cell may mean.
 
     A time of day has one value for each day, and two if the clocks change so that it occurs twice.
@@ -223,8 +225,8 @@ def _said_seconds(line: _Line, column: str, start: datetime | None, first: float
         begin: date = _after(start, first).date()
         moments = [datetime.combine(begin + timedelta(days=k), moment) for k in range(-1, days + 2)]
     if moments[0].tzinfo is None:
-        moments = [one.replace(tzinfo=start.tzinfo, fold=fold) for one in moments for fold in (0, 1)]
-    return [(one.astimezone(UTC) - start.astimezone(UTC)).total_seconds() for one in moments]
+        moments = [instant.replace(tzinfo=start.tzinfo, fold=fold) for instant in moments for fold in (0, 1)]
+    return [(instant.astimezone(UTC) - start.astimezone(UTC)).total_seconds() for instant in moments]
 
 
 def _moment(text: str) -> datetime | time | None:

@@ -14,7 +14,7 @@ from skope.traffic.conflicts import conflicts
 from skope.traffic.counting_intervals import ClockInterval, clock_intervals, local_start
 from skope.traffic.event_probability import usual_step
 from skope.traffic.gate_counts import Count, interval_counts
-from skope.traffic.gates import GateCrossing, gate_crossings, gates_of_other_cameras, gates_on_road
+from skope.traffic.gates import GateCrossing, gate_crossings, gates_of_drawn_cameras, gates_on_road
 from skope.traffic.headways import headways, occupancies
 from skope.traffic.lanes import LaneMap, lane_changes
 from skope.traffic.length_bins import length_counts
@@ -63,15 +63,15 @@ def measure(
     """
     settings = site.traffic
     begin = local_start(site) if start is None else start
-    confirmed = [one for one in tracks if one.confirmed]
+    confirmed = [track for track in tracks if track.confirmed]
     trajectories = stitch_tracks(confirmed) if broken else confirmed
     lanes, gates = LaneMap(site.lanes), gates_on_road(site.gates, (*observation.parts, observation)[0])
     whole = whole_footage(observation)
     intervals = clock_intervals(begin, max(0.0, whole.begin_s), whole.end_s, settings.interval_minutes)
     step_s = usual_step(trajectories)
-    every, others = _crossings(trajectories, site, observation, lanes, step_s)
-    missed = unseen(trajectories, gates, every, observation, settings, other_cameras=others)
-    crossed = [one for one in every if one.is_counted]
+    every, drawn_crossings = _crossings(trajectories, site, observation, lanes, step_s)
+    missed = unseen(trajectories, gates, every, observation, settings, other_cameras=drawn_crossings)
+    crossed = [crossing for crossing in every if crossing.is_counted]
     checks = manual_count_checks(manual_counts, crossed, missed, settings)
     missed = counts_adjusted_by_manual_counts(checks, crossed, missed, gates, settings)
     moved = movements(crossed, settings, step_s if broken else None)
@@ -119,19 +119,21 @@ def _crossings(
 ) -> tuple[list[GateCrossing], dict[str, list[list[GateCrossing]]]]:
     """Return all crossings, and by surveyed gate the crossings under each of the drawn cameras."""
     every: list[GateCrossing] = []
-    others: dict[str, list[list[GateCrossing]]] = {}
+    drawn_crossings: dict[str, list[list[GateCrossing]]] = {}
     for number, recording in enumerate(observation.parts or (observation,), start=1):
-        own = [one for one in tracks if observation.recording_at(float(one.times_s[0])) == number]
+        recording_tracks = [track for track in tracks if observation.recording_at(float(track.times_s[0])) == number]
         gates = gates_on_road(site.gates, recording)
-        every += gate_crossings(own, gates, lanes, site.traffic, step_s=step_s)
-        for k, moved in enumerate(gates_of_other_cameras(gates, recording)):
-            found = gate_crossings(own, moved, lanes, site.traffic, step_s=step_s)
+        every += gate_crossings(recording_tracks, gates, lanes, site.traffic, step_s=step_s)
+        for k, moved in enumerate(gates_of_drawn_cameras(gates, recording)):
+            found = gate_crossings(recording_tracks, moved, lanes, site.traffic, step_s=step_s)
             for gate in moved:
-                draws = others.setdefault(gate.name, [])
+                draws = drawn_crossings.setdefault(gate.name, [])
                 if len(draws) <= k:
                     draws.append([])
-                draws[k] += [one for one in found if one.gate == gate.name]
-    return sorted(every, key=lambda one: (one.time_s, one.trajectory.number, one.gate)), others
+                draws[k] += [crossing for crossing in found if crossing.gate == gate.name]
+    return sorted(
+        every, key=lambda crossing: (crossing.time_s, crossing.trajectory.number, crossing.gate)
+    ), drawn_crossings
 
 
 def total_counts(

@@ -95,15 +95,15 @@ class MissedCrossings:
             interval: The interval of the possible crossings.
             classes: The classes that are counted.
         """
-        own = [
-            one
-            for one in self.vanished
-            if (one.gate, one.direction) == (gate, direction)
-            and interval.begin_s <= one.time_s < interval.end_s
-            and one.trajectory.class_name in classes
+        lost = [
+            lost_track
+            for lost_track in self.vanished
+            if (lost_track.gate, lost_track.direction) == (gate, direction)
+            and interval.begin_s <= lost_track.time_s < interval.end_s
+            and lost_track.trajectory.class_name in classes
         ]
-        begun = sum(one.begins for one in own)
-        return max(begun, len(own) - begun)
+        begun = sum(lost_track.begins for lost_track in lost)
+        return max(begun, len(lost) - begun)
 
 
 def unseen(
@@ -128,21 +128,21 @@ def unseen(
         kinds: Miss rates by gate; None: from the image scale at each gate.
         other_cameras: As in `MissedCrossings`.
     """
-    crossed = {(one.trajectory.number, one.gate) for one in crossings}
+    crossed = {(crossing.trajectory.number, crossing.gate) for crossing in crossings}
     found = [
-        LostTrack(trajectory=one, gate=gate.name, direction=direction, time_s=time_s, begins=begins)
-        for one in trajectories
-        if may_count(one, settings)
+        LostTrack(trajectory=track, gate=gate.name, direction=direction, time_s=time_s, begins=begins)
+        for track in trajectories
+        if may_count(track, settings)
         for gate in gates
-        if (one.number, gate.name) not in crossed
+        if (track.number, gate.name) not in crossed
         for begins in (False, True)
-        for direction, time_s in _would_cross(one, gate, begins, observation)
+        for direction, time_s in _would_cross(track, gate, begins, observation)
     ]
-    confirmed = [one for one in trajectories if one.confirmed]
-    blind = {gate.name for gate in gates if not any(near_gate(gate, one, near).any() for one in confirmed)}
+    confirmed = [track for track in trajectories if track.confirmed]
+    blind = {gate.name for gate in gates if not any(near_gate(gate, track, near).any() for track in confirmed)}
     return MissedCrossings(
-        vanished=tuple(sorted(found, key=lambda one: one.time_s)),
-        doubtful=tuple(one for one in crossings if not one.is_counted),
+        vanished=tuple(sorted(found, key=lambda lost: lost.time_s)),
+        doubtful=tuple(crossing for crossing in crossings if not crossing.is_counted),
         kinds=kinds
         or {gate.name: miss_rate_groups(observation.pixels_per_metre(np.mean(gate.line, axis=0))) for gate in gates},
         gates=frozenset(blind),

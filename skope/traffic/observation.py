@@ -120,26 +120,26 @@ class Observation:
         spans = np.clip(self.spans, begin_s, end_s)
         return float((spans[:, 1] - spans[:, 0]).sum())
 
-    def together(self, one_s: float, other_s: float) -> bool:
+    def together(self, first_s: float, second_s: float) -> bool:
         """Return whether the road was observed without a gap between two times."""
-        low, high = sorted((one_s, other_s))
+        low, high = sorted((first_s, second_s))
         return bool(((self.spans[:, 0] <= low) & (high <= self.spans[:, 1])).any())
 
     def is_cut(self, time_s: float) -> bool:
         """Return whether a track that begins or ends at a time is cut off by an end of the footage or by a gap."""
         return not len(self.spans) or bool(np.abs(self.spans - time_s).min() < OBSERVATION_LIMITS.cut_s)
 
-    def pixels_per_metre(self, place: Array) -> float | None:
+    def pixels_per_metre(self, position: Array) -> float | None:
         """Return the image size of one metre at a road position (2,), pixels per metre; None: not known.
 
         The metre is perpendicular to the viewing direction. With several recordings this is the smallest value.
         """
         if self.parts:
-            known = [one for one in (part.pixels_per_metre(place) for part in self.parts) if one is not None]
+            known = [value for value in (part.pixels_per_metre(position) for part in self.parts) if value is not None]
             return min(known, default=None)
         if self.camera is None:
             return None
-        return float(self.camera.K[0, 0]) / max(1.0, math.dist(self.camera.position, (*map(float, place), 0.0)))
+        return float(self.camera.K[0, 0]) / max(1.0, math.dist(self.camera.position, (*map(float, position), 0.0)))
 
     def total_sigma(self, sigma: float, value: float) -> float:
         """Return the standard deviation of a single speed or length, including the camera's common scale error.
@@ -178,7 +178,7 @@ class Observation:
             "common_scale_sigma": self.common_scale_sigma,
             "camera": None if self.camera is None else _camera_dict(self.camera, self.uncertainty),
             "ground": None if self.ground is None else asdict(self.ground),
-            **({"turned": [self._turned_dict(*one) for one in self.turned]} if self.turned else {}),
+            **({"turned": [self._turned_dict(*turn) for turn in self.turned]} if self.turned else {}),
             "visibility_samples": self.visibility_samples.tolist(),
             **({} if self.start_time is None else {"start_time": self.start_time.isoformat()}),
         }
@@ -204,7 +204,8 @@ def frame_durations_s(
         times_s: (N,) times of the frames, seconds, increasing.
         begin_s: Start of the interval, seconds.
         end_s: End of the interval, seconds.
-        further_s: Start times of the second and later recordings, seconds. No frame extends into the next recording.
+        recording_starts_s: Start times of the second and later recordings, seconds. No frame extends into the next
+            recording.
 
     Returns:
         (N,) durations, seconds.
@@ -285,10 +286,12 @@ def _read_camera(path: Path, value: Any) -> tuple[Camera | None, UncertainCamera
 
 def _read_turned(path: Path, value: Any) -> tuple[tuple[float, Camera], ...]:
     """Return the turned cameras of `footage.json` with their start times."""
-    if not isinstance(value, list) or not all(isinstance(one, dict) and is_number(one.get("from_s")) for one in value):
+    if not isinstance(value, list) or not all(
+        isinstance(entry, dict) and is_number(entry.get("from_s")) for entry in value
+    ):
         raise UserError(f"{path}: turned: expected cameras, each with from_s")
-    cameras = [_read_camera(path, one)[0] for one in value]
-    return tuple((float(one["from_s"]), camera) for one, camera in zip(value, cameras, strict=True) if camera)
+    cameras = [_read_camera(path, entry)[0] for entry in value]
+    return tuple((float(entry["from_s"]), camera) for entry, camera in zip(value, cameras, strict=True) if camera)
 
 
 def checked_visibility(rows: Any, where: str) -> Array:

@@ -70,8 +70,8 @@ def peak_hours(report: TrafficReport) -> list[PeakHour]:
     found = []
     for (gate, direction), volumes in _volumes(report, class_name).items():
         first = max(hours, key=lambda k: sum(volumes[k : k + PEAK_PERIODS.hour_minutes // minutes]))
-        own = volumes[first : first + PEAK_PERIODS.hour_minutes // minutes]
-        begin, end = report.intervals[first], report.intervals[first + len(own) - 1]
+        hour_volumes = volumes[first : first + PEAK_PERIODS.hour_minutes // minutes]
+        begin, end = report.intervals[first], report.intervals[first + len(hour_volumes) - 1]
         found.append(
             PeakHour(
                 gate=gate,
@@ -81,8 +81,8 @@ def peak_hours(report: TrafficReport) -> list[PeakHour]:
                 end_s=end.end_s,
                 begin=begin.begin,
                 end=end.end,
-                volume=sum(own),
-                highest_15_minutes=_highest_quarter(own, minutes),
+                volume=sum(hour_volumes),
+                highest_15_minutes=_highest_quarter(hour_volumes, minutes),
             )
         )
     return found
@@ -181,7 +181,7 @@ def _volumes(report: TrafficReport, class_name: str) -> dict[tuple[str, str], li
     seen: set[int] = set()
     begins_s = [interval.begin_s for interval in report.intervals]
     site = [0] * len(begins_s)
-    for crossing in sorted(report.crossings, key=lambda one: one.time_s):
+    for crossing in sorted(report.crossings, key=lambda event: event.time_s):
         track = crossing.trajectory
         if track.class_name not in classes or track.number in seen:
             continue

@@ -47,31 +47,31 @@ class Encroachment:
     """Whether the second argument of the search was first at the place."""
 
 
-def near(one: FootprintPath, other: FootprintPath, most_s: float) -> bool:
+def near(first: FootprintPath, second: FootprintPath, most_s: float) -> bool:
     """Return whether two paths are close enough for the footprints to touch within `most_s` of each other.
 
     Args:
-        one: Path of the first road user.
-        other: Path of the second road user.
+        first: Path of the first road user.
+        second: Path of the second road user.
         most_s: Longest time between the two, seconds.
     """
     rows, columns = (
         slice(None, None, ENCROACHMENT_SEARCH.coarse_step),
         slice(None, None, ENCROACHMENT_SEARCH.coarse_step),
     )
-    away = np.linalg.norm(one.place[rows, None] - other.place[None, columns], axis=-1)
-    late = np.abs(one.times_s[rows, None] - other.times_s[None, columns])
-    step_s = float(one.times_s[1] - one.times_s[0]) * ENCROACHMENT_SEARCH.coarse_step
-    reach = one.radius + other.radius + step_s * (float(one.speed.max()) + float(other.speed.max()))
+    away = np.linalg.norm(first.position[rows, None] - second.position[None, columns], axis=-1)
+    late = np.abs(first.times_s[rows, None] - second.times_s[None, columns])
+    step_s = float(first.times_s[1] - first.times_s[0]) * ENCROACHMENT_SEARCH.coarse_step
+    reach = first.radius + second.radius + step_s * (float(first.speed.max()) + float(second.speed.max()))
     return bool(((away < reach) & (late <= most_s + step_s)).any())
 
 
-def by_places(one: FootprintPath, other: FootprintPath, most_s: float) -> Encroachment | None:
+def by_places(first: FootprintPath, second: FootprintPath, most_s: float) -> Encroachment | None:
     """Find the encroachment by SSAM's definition.
 
     Args:
-        one: Path of the first road user.
-        other: Path of the second road user.
+        first: Path of the first road user.
+        second: Path of the second road user.
         most_s: Longest time between the two, seconds.
 
     Returns:
@@ -79,8 +79,8 @@ def by_places(one: FootprintPath, other: FootprintPath, most_s: float) -> Encroa
     """
     found = [
         made
-        for first, second, swapped in ((one, other, False), (other, one, True))
-        if (made := _after(first, second, most_s, swapped)) is not None
+        for earlier, later, swapped in ((first, second, False), (second, first, True))
+        if (made := _after(earlier, later, most_s, swapped)) is not None
     ]
     return min(found, key=lambda made: made.seconds, default=None)
 
@@ -94,9 +94,9 @@ def _after(first: FootprintPath, second: FootprintPath, most_s: float, swapped: 
     # Examine the delays in batches, shortest first: one batch is usually enough, or the two are never near each other.
     for late in np.split(every, range(ENCROACHMENT_SEARCH.batch_steps, len(every), ENCROACHMENT_SEARCH.batch_steps)):
         i, j = np.broadcast_arrays(rows[:, None], rows[:, None] + shift + late)
-        there = (j >= 0) & (j < len(second.ticks))
-        i, j = i[there], j[there]
-        close = ((first.place[i] - second.place[j]) ** 2).sum(axis=1) < reach**2
+        exists = (j >= 0) & (j < len(second.ticks))
+        i, j = i[exists], j[exists]
+        close = ((first.position[i] - second.position[j]) ** 2).sum(axis=1) < reach**2
         i, j = i[close], j[close]
         meets = np.flatnonzero(overlap(first.corners[i], second.corners[j])) if len(i) else i
         if len(meets):
@@ -114,23 +114,28 @@ def _finer(
         * step_s
         / ENCROACHMENT_SEARCH.fine_steps
     )
-    here = np.clip(first_s + shifts, *first.times_s[[0, -1]])
-    there = np.clip(second_s + shifts, *second.times_s[[0, -1]])
-    a, b = footprint_corners(*first.at(here), first.size), footprint_corners(*second.at(there), second.size)
-    shape = (len(here), len(there), 4, 2)
+    first_times = np.clip(first_s + shifts, *first.times_s[[0, -1]])
+    second_times = np.clip(second_s + shifts, *second.times_s[[0, -1]])
+    a, b = (
+        footprint_corners(*first.at(first_times), first.size),
+        footprint_corners(*second.at(second_times), second.size),
+    )
+    shape = (len(first_times), len(second_times), 4, 2)
     meets = overlap(np.broadcast_to(a[:, None], shape), np.broadcast_to(b[None], shape))
-    late = there[None] - here[:, None]
+    late = second_times[None] - first_times[:, None]
     late = np.where(meets & (late >= 0), late, np.inf)
     i, j = np.unravel_index(int(late.argmin()), late.shape)
-    return Encroachment(seconds=float(late[i, j]), first_s=float(here[i]), second_s=float(there[j]), swapped=swapped)
+    return Encroachment(
+        seconds=float(late[i, j]), first_s=float(first_times[i]), second_s=float(second_times[j]), swapped=swapped
+    )
 
 
-def by_area(one: FootprintPath, other: FootprintPath, about_s: float) -> Encroachment | None:
+def by_area(first: FootprintPath, second: FootprintPath, about_s: float) -> Encroachment | None:
     """Find the encroachment by the area that both road users cover around a time.
 
     Args:
-        one: Path of the first road user.
-        other: Path of the second road user.
+        first: Path of the first road user.
+        second: Path of the second road user.
         about_s: The time, seconds of the footage.
 
     Returns:
@@ -138,17 +143,20 @@ def by_area(one: FootprintPath, other: FootprintPath, about_s: float) -> Encroac
     """
     from shapely import polygons, unary_union
 
-    shown = [_during(path, about_s) for path in (one, other)]
+    shown = [_during(path, about_s) for path in (first, second)]
     if not all(len(rows) for rows in shown):
         return None
-    shapes = [polygons(path.corners[rows]) for path, rows in zip((one, other), shown, strict=True)]
+    shapes = [polygons(path.corners[rows]) for path, rows in zip((first, second), shown, strict=True)]
     area = unary_union(shapes[0]).intersection(unary_union(shapes[1]))
     if area.area <= 0:
         return None
-    stays = [_stay(path, rows, own, area) for path, rows, own in zip((one, other), shown, shapes, strict=True)]
+    stays = [
+        _stay(path, rows, footprints, area)
+        for path, rows, footprints in zip((first, second), shown, shapes, strict=True)
+    ]
     swapped = stays[1][0] < stays[0][0]
-    first, second = stays[::-1] if swapped else stays
-    return Encroachment(seconds=max(0.0, second[0] - first[1]), first_s=first[1], second_s=second[0], swapped=swapped)
+    earlier, later = stays[::-1] if swapped else stays
+    return Encroachment(seconds=max(0.0, later[0] - earlier[1]), first_s=earlier[1], second_s=later[0], swapped=swapped)
 
 
 def _during(path: FootprintPath, about_s: float) -> Array:
@@ -160,12 +168,12 @@ def _stay(path: FootprintPath, rows: Array, shapes: Any, area: Any) -> tuple[flo
     from shapely import intersects, polygons
 
     def within(time_s: float) -> bool:
-        place, facing = path.at(np.array([time_s]))
-        return bool(intersects(polygons(footprint_corners(place, facing, path.size))[0], area))
+        position, facing = path.at(np.array([time_s]))
+        return bool(intersects(polygons(footprint_corners(position, facing, path.size))[0], area))
 
-    there = np.flatnonzero(intersects(shapes, area))
+    inside = np.flatnonzero(intersects(shapes, area))
     times = path.times_s[rows]
-    first, last = int(there[0]), int(there[-1])
+    first, last = int(inside[0]), int(inside[-1])
     enter = _border(within, times[first - 1], times[first]) if first else float(times[0])
     leave = _border(within, times[last + 1], times[last]) if last + 1 < len(times) else float(times[-1])
     return enter, leave

@@ -97,12 +97,12 @@ def standing(speed: Array, begin: float, end: float) -> NDArray[np.bool_]:
     Returns:
         (M,) True while the road user is stopped.
     """
-    told = np.where(speed < begin, 1, np.where(speed > end, 0, -1))
-    known = np.flatnonzero(told >= 0)
+    states = np.where(speed < begin, 1, np.where(speed > end, 0, -1))
+    known = np.flatnonzero(states >= 0)
     if not len(known):
         return np.zeros(len(speed), dtype=bool)
     latest = np.searchsorted(known, np.arange(len(speed)), side="right") - 1
-    return np.asarray((latest >= 0) & (told[known[latest.clip(0)]] == 1))
+    return np.asarray((latest >= 0) & (states[known[latest.clip(0)]] == 1))
 
 
 def stops(
@@ -161,7 +161,7 @@ def queues(
             queue = [of_moment.get(moment, NO_QUEUE) for moment in here]
             k = max(range(len(here)), key=lambda k: queue[k][0])
             length, sigma, chances = queue[k]
-            bounds = [_between(one[2]) for one in queue]
+            bounds = [_between(at_moment[2]) for at_moment in queue]
             out.append(
                 QueueRecord(
                     interval=interval,
@@ -171,10 +171,10 @@ def queues(
                     longest_at_s=here[k] if length else math.nan,
                     vehicles=len(chances),
                     vehicles_expected=bounds[k],
-                    mean_vehicles=float(np.mean([len(one[2]) for one in queue])),
+                    mean_vehicles=float(np.mean([len(at_moment[2]) for at_moment in queue])),
                     mean_between=(
-                        float(np.mean([one.low for one in bounds])),
-                        float(np.mean([one.high for one in bounds])),
+                        float(np.mean([bound.low for bound in bounds])),
+                        float(np.mean([bound.high for bound in bounds])),
                     ),
                 )
             )
@@ -195,20 +195,22 @@ def _in_lane(
     for trajectory in trajectories:
         if not trajectory.confirmed or trajectory.category == PEDESTRIAN_CATEGORY:
             continue
-        there = moments[(moments >= trajectory.times_s[0]) & (moments <= trajectory.times_s[-1])]
+        present = moments[(moments >= trajectory.times_s[0]) & (moments <= trajectory.times_s[-1])]
         begin, end = settings.queue_speed_kmh / KMH_PER_MPS, settings.queue_end_kmh / KMH_PER_MPS
         # An uncertain speed is no evidence of a stopped vehicle.
         slow = standing(trajectory.speed + np.where(trajectory.speed_sigma > begin / 2, end, 0.0), begin, end)
-        there = there[trajectory.at(slow.astype(float), there) > 0.5] if len(there) and slow.any() else there[:0]
-        if not len(there):
+        present = (
+            present[trajectory.at(slow.astype(float), present) > 0.5] if len(present) and slow.any() else present[:0]
+        )
+        if not len(present):
             continue
-        places = trajectory.at(trajectory.xy, there)
-        spread = worst_sigma(trajectory.at(trajectory.total_covariance, there))
+        places = trajectory.at(trajectory.xy, present)
+        spread = worst_sigma(trajectory.at(trajectory.total_covariance, present))
         inside = lanes.indices(places)[0] == lane
         along = lanes.along(lane, places)
         half = trajectory.size[0] / 2
         chance = round(event_probability(trajectory), 2)
-        for moment, at, sigma in zip(there[inside].tolist(), along[inside], spread[inside], strict=True):
+        for moment, at, sigma in zip(present[inside].tolist(), along[inside], spread[inside], strict=True):
             waiting.setdefault(moment, []).append((float(at) + half, float(at) - half, float(sigma), chance))
     return {moment: max(_chains(ends, settings.queue_gap_m)) for moment, ends in waiting.items()}
 
@@ -221,17 +223,17 @@ def _chains(ends: Sequence[tuple[float, float, float, float]], most_m: float) ->
     """
     ordered = sorted(ends, reverse=True)
     chain = ordered[:1]
-    for one in ordered[1:]:
-        if chain[-1][1] - one[0] > most_m:
+    for vehicle in ordered[1:]:
+        if chain[-1][1] - vehicle[0] > most_m:
             yield _queue(chain)
             chain = []
-        chain.append(one)
+        chain.append(vehicle)
     yield _queue(chain)
 
 
 def _queue(chain: Sequence[tuple[float, float, float, float]]) -> Queue:
     first, last = chain[0], chain[-1]
-    return first[0] - last[1], math.hypot(first[2], last[2]), tuple(sorted(one[3] for one in chain))
+    return first[0] - last[1], math.hypot(first[2], last[2]), tuple(sorted(vehicle[3] for vehicle in chain))
 
 
 def delays(
@@ -253,23 +255,25 @@ def delays(
             assert v85.high is not None
             free[group.where] = v85.value, (v85.high - v85.low) / 2 / INTERVAL_SIGMAS
     out = []
-    for one in sections:
-        origin, destination = one.movement.origin, one.movement.destination
+    for section in sections:
+        origin, destination = section.movement.origin, section.movement.destination
         assert origin is not None
         assert destination is not None
-        told_of = origin.trajectory, origin.time_s, destination.time_s, settings
-        number, stopped_s = stops(*told_of)
-        numbers = [number, *(stops(*told_of, shift)[0] for shift in SPEED_SHIFTS)]
-        told = settings.free_flow_kmh
-        speed, sigma = (told / KMH_PER_MPS, 0.0) if told else free.get(one.name, (math.nan, math.nan))
+        arguments = origin.trajectory, origin.time_s, destination.time_s, settings
+        number, stopped_s = stops(*arguments)
+        numbers = [number, *(stops(*arguments, shift)[0] for shift in SPEED_SHIFTS)]
+        free_flow_kmh = settings.free_flow_kmh
+        speed, sigma = (
+            (free_flow_kmh / KMH_PER_MPS, 0.0) if free_flow_kmh else free.get(section.name, (math.nan, math.nan))
+        )
         out.append(
             Delay(
-                section=one,
+                section=section,
                 stops=number,
                 stops_bounds=CountInterval(min(numbers), max(numbers)),
                 stopped_s=stopped_s,
-                delay_s=one.seconds - one.length_m / speed,
-                sigma_s=math.hypot(one.seconds_sigma, one.length_m / speed * sigma / speed),
+                delay_s=section.seconds - section.length_m / speed,
+                sigma_s=math.hypot(section.seconds_sigma, section.length_m / speed * sigma / speed),
             )
         )
     return out

@@ -19,7 +19,7 @@ import numpy as np
 
 from skope.errors import UserError
 from skope.files.atomic import sha256_of
-from skope.site.site_file import clock_doubt
+from skope.site.site_file import clock_problem
 from skope.terminal.console import counted
 from skope.tracks.csv_file import TRACKS_CSV, read_tracks
 from skope.tracks.track import Track
@@ -39,11 +39,11 @@ _IN_NAME: Final = re.compile(
 There is no match if a possible UTC offset or further digits or letters follow."""
 
 
-def parse_start_time(said: str | datetime, site: "SiteFile", where: str) -> datetime:
+def parse_start_time(given: str | datetime, site: "SiteFile", where: str) -> datetime:
     """Return the start time of footage as given by the user.
 
     Args:
-        said: The time, with or without a zone.
+        given: The time, with or without a zone.
         site: The site. Its zone applies to a time without a zone.
         where: Start of the error message.
 
@@ -51,20 +51,20 @@ def parse_start_time(said: str | datetime, site: "SiteFile", where: str) -> date
         The time with its zone.
 
     Raises:
-        UserError: `said` is no time, neither it nor the site has a zone, or the local time is missing or ambiguous
+        UserError: `given` is no time, neither it nor the site has a zone, or the local time is missing or ambiguous
             because of a clock change.
     """
-    begin = said if isinstance(said, datetime) else time_of(said, where)
+    begin = given if isinstance(given, datetime) else time_of(given, where)
     if begin.tzinfo is not None:
         return local_time(begin, site)
     zone = _zone(site)
     if zone is None:
         raise UserError(
             f"{where}: expected a time with its UTC offset, like 2026-11-26T10:00:00+01:00, as {site.path} has no "
-            f"time_zone; got {said}"
+            f"time_zone; got {given}"
         )
-    if doubt := clock_doubt(begin, zone):
-        raise UserError(f"{where}: {said}: {doubt}")
+    if problem := clock_problem(begin, zone):
+        raise UserError(f"{where}: {given}: {problem}")
     return begin.replace(tzinfo=zone)
 
 
@@ -84,7 +84,7 @@ def begin_in_name(name: str, site: "SiteFile") -> datetime | None:
     if utc:
         return local_time(begin.replace(tzinfo=UTC), site)
     zone = _zone(site)
-    return None if zone is None or clock_doubt(begin, zone) else begin.replace(tzinfo=zone)
+    return None if zone is None or clock_problem(begin, zone) else begin.replace(tzinfo=zone)
 
 
 def _zone(site: "SiteFile") -> ZoneInfo | None:
@@ -176,32 +176,35 @@ def read_recordings(
             f"{where}: expected one time for each of {counted(len(folders), 'recording')}, in their order; got "
             f"{len(start_time)}"
         )
-    said: list[datetime | None] = [parse_start_time(one, site, where) for one in start_time]
-    said = said or [None] * len(folders)
+    starts: list[datetime | None] = [parse_start_time(given, site, where) for given in start_time]
+    starts = starts or [None] * len(folders)
     if len(folders) == 1:
-        return _only(folders[0], said[0], site)
-    placed = [_placed(folder, begin, site, where) for folder, begin in zip(folders, said, strict=True)]
-    placed.sort(key=lambda one: (one.at(0).astimezone(UTC), str(one.folder)))
+        return _only(folders[0], starts[0], site)
+    placed = [_placed(folder, begin, site, where) for folder, begin in zip(folders, starts, strict=True)]
+    placed.sort(key=lambda recording: (recording.at(0).astimezone(UTC), str(recording.folder)))
     _check(placed)
     recordings, parts, tracks = list[SiteRecording](), list[Observation](), list[Track]()
     added = 0
-    for one, late_s in _one_after_the_other(placed):
-        begin_s = _seconds(one.begin, recordings[0].begin if recordings else one.begin)
+    for recording, late_s in _without_overlap(placed):
+        begin_s = _seconds(recording.begin, recordings[0].begin if recordings else recording.begin)
         recordings.append(
             SiteRecording(
-                folder=one.folder,
-                source=one.observation.source,
-                begin=one.begin,
+                folder=recording.folder,
+                source=recording.observation.source,
+                begin=recording.begin,
                 begin_s=begin_s,
                 added=added,
-                guessed=one.guessed,
+                guessed=recording.guessed,
                 late_s=late_s,
             )
         )
-        parts.append(_in_report(one.observation, begin_s))
-        own = read_tracks(one.folder / TRACKS_CSV)
-        tracks += [replace(track, number=added + track.number, times_s=_at(track.times_s, begin_s)) for track in own]
-        added += max((track.number for track in own), default=0)
+        parts.append(_in_report(recording.observation, begin_s))
+        recording_tracks = read_tracks(recording.folder / TRACKS_CSV)
+        tracks += [
+            replace(track, number=added + track.number, times_s=_at(track.times_s, begin_s))
+            for track in recording_tracks
+        ]
+        added += max((track.number for track in recording_tracks), default=0)
     return RecordedTraffic(
         tracks=tuple(tracks),
         observation=_together(parts),
@@ -212,16 +215,17 @@ def read_recordings(
 
 def recording_lines(recordings: Sequence[SiteRecording], observation: Observation) -> Iterator[str]:
     """Yield sentences on guessed or shifted start times, and on differences between the cameras."""
-    if guessed := [one for one in recordings if one.guessed]:
+    if guessed := [recording for recording in recordings if recording.guessed]:
         first = guessed[0]
         yield (
             f"{len(guessed)} of {len(recordings)} recordings: the start is guessed from the name of the footage "
             f"({first.source!r}: {first.begin.isoformat(timespec='seconds')}); --start-time replaces the guess"
         )
-    if late := [one for one in recordings if one.late_s >= RECORDING_LIMITS.reported_s]:
+    if late := [recording for recording in recordings if recording.late_s >= RECORDING_LIMITS.reported_s]:
         yield (
-            f"{len(late)} of {len(recordings)} recordings begin up to {max(one.late_s for one in late):.2f} s before "
-            f"the previous recording ends (first: {late[0].folder}): they were shifted to begin at its end"
+            f"{len(late)} of {len(recordings)} recordings begin up to "
+            f"{max(recording.late_s for recording in late):.2f} s before the previous recording ends (first: "
+            f"{late[0].folder}): they were shifted to begin at its end"
         )
     parts = observation.parts
     known = [part.common_scale_sigma for part in parts if part.common_scale_sigma is not None]
@@ -236,36 +240,36 @@ def recording_lines(recordings: Sequence[SiteRecording], observation: Observatio
             "intervals use the larger error"
         )
     cameras = [part.camera for part in parts if part.camera is not None]
-    if any(one.to_dict() != cameras[0].to_dict() for one in cameras):
+    if any(camera.to_dict() != cameras[0].to_dict() for camera in cameras):
         yield (
             "recordings differ in the calibration of the camera: positions have the errors of their own recording; the "
             "recording with the smallest image of a gate decides which road users are too small there"
         )
 
 
-def _only(folder: Path, said: datetime | None, site: "SiteFile") -> RecordedTraffic:
+def _only(folder: Path, given: datetime | None, site: "SiteFile") -> RecordedTraffic:
     observation = read_observation(folder)
-    start = begin_of(said, observation, site) or local_start(site)
+    start = begin_of(given, observation, site) or local_start(site)
     return RecordedTraffic(tracks=tuple(read_tracks(folder / TRACKS_CSV)), observation=observation, start=start)
 
 
-def begin_of(said: datetime | None, observation: Observation, site: "SiteFile") -> datetime | None:
+def begin_of(given: datetime | None, observation: Observation, site: "SiteFile") -> datetime | None:
     """Return the start time of a recording.
 
     Args:
-        said: Start time given by the user; None: not given.
+        given: Start time given by the user; None: not given.
         observation: The recording, which may have its own start time.
         site: The site. The recording's own start time is converted to its zone.
 
     Returns:
-        `said`, else the recording's own start time, else None.
+        `given`, else the recording's own start time, else None.
     """
-    return local_time(observation.start_time, site) if said is None and observation.start_time is not None else said
+    return local_time(observation.start_time, site) if given is None and observation.start_time is not None else given
 
 
-def _placed(folder: Path, said: datetime | None, site: "SiteFile", where: str) -> _Placed:
+def _placed(folder: Path, given: datetime | None, site: "SiteFile", where: str) -> _Placed:
     observation = read_observation(folder)
-    begin = begin_of(said, observation, site)
+    begin = begin_of(given, observation, site)
     guess = begin_in_name(observation.source, site) if begin is None else None
     if begin is None and guess is None:
         zone = "" if site.time_zone else f", and {site.path} has no time_zone"
@@ -281,21 +285,22 @@ def _placed(folder: Path, said: datetime | None, site: "SiteFile", where: str) -
 def _check(placed: Sequence[_Placed]) -> None:
     """Raise a UserError if the recordings, in order of time, cannot share one report."""
     folders, contents = dict[Path, Path](), dict[str, Path]()
-    for one in placed:
-        if not len(one.observation.times_s) + len(one.observation.camera_moved_s):
-            raise UserError(f"{one.folder / FOOTAGE_FILE}: times_s: expected at least one frame, found none")
-        if one.folder.resolve() in folders:
-            raise UserError(f"{one.folder}: given twice; name each recording once")
-        folders[one.folder.resolve()] = one.folder
-        path = one.folder / TRACKS_CSV
+    for recording in placed:
+        if not len(recording.observation.times_s) + len(recording.observation.camera_moved_s):
+            raise UserError(f"{recording.folder / FOOTAGE_FILE}: times_s: expected at least one frame, found none")
+        if recording.folder.resolve() in folders:
+            raise UserError(f"{recording.folder}: given twice; name each recording once")
+        folders[recording.folder.resolve()] = recording.folder
+        path = recording.folder / TRACKS_CSV
         if _has_rows(path):
             same = contents.setdefault(sha256_of(path), path)
             if same != path:
                 raise UserError(f"{path}: contains the same tracks as {same}; name each recording once")
-        if one.begin.astimezone(UTC) - placed[0].begin.astimezone(UTC) > _LONGEST_SPAN:
+        if recording.begin.astimezone(UTC) - placed[0].begin.astimezone(UTC) > _LONGEST_SPAN:
             raise UserError(
-                f"{one.folder}: begins at {one.begin.isoformat(timespec='seconds')}, more than {_LONGEST_SPAN.days} "
-                f"days after {placed[0].folder}: check the dates, or make a separate report of each"
+                f"{recording.folder}: begins at {recording.begin.isoformat(timespec='seconds')}, more than "
+                f"{_LONGEST_SPAN.days} days after {placed[0].folder}: check the dates, or make a separate report of "
+                "each"
             )
 
 
@@ -307,22 +312,22 @@ def _has_rows(path: Path) -> bool:
         return len(list(islice(file, 2))) == 2
 
 
-def _one_after_the_other(placed: Sequence[_Placed]) -> Iterator[tuple[_Placed, float]]:
+def _without_overlap(placed: Sequence[_Placed]) -> Iterator[tuple[_Placed, float]]:
     """Yield the recordings without overlap, and the delay of each, seconds.
 
     Raises:
         UserError: Two recordings overlap by more than `RECORDING_LIMITS.inexact_s`.
     """
     before: _Placed | None = None
-    for one in placed:
-        late_s = 0.0 if before is None else max(0.0, _seconds(before.at(1), one.at(0)))
+    for recording in placed:
+        late_s = 0.0 if before is None else max(0.0, _seconds(before.at(1), recording.at(0)))
         if before is not None and late_s > RECORDING_LIMITS.inexact_s:
-            start_time, ends = (time.isoformat(timespec="seconds") for time in (one.at(0), before.at(1)))
+            start_time, ends = (time.isoformat(timespec="seconds") for time in (recording.at(0), before.at(1)))
             raise UserError(
-                f"{one.folder}: begins at {start_time}, before {before.folder} ends ({ends}): recordings of one "
+                f"{recording.folder}: begins at {start_time}, before {before.folder} ends ({ends}): recordings of one "
                 "report must not overlap"
             )
-        before = replace(one, begin=_later(one.begin, late_s))
+        before = replace(recording, begin=_later(recording.begin, late_s))
         yield before, late_s
 
 

@@ -106,7 +106,7 @@ def interval_visibility(observation: Observation, begin_s: float, end_s: float) 
     )
 
 
-def sight_lines(observation: Observation) -> Iterator[str]:
+def visibility_lines(observation: Observation) -> Iterator[str]:
     """Yield a sentence on the time with poor visibility; nothing if visibility was always good."""
     found = interval_visibility(observation, -np.inf, np.inf)
     parts = {
@@ -114,10 +114,12 @@ def sight_lines(observation: Observation) -> Iterator[str]:
         "without contrast": found.low_contrast_s,
         "with the camera moved to another view": found.camera_moved_s,
     }
-    told = [f"{seconds:.0f} s {what}" for what, seconds in parts.items() if seconds is not None and seconds >= 0.5]
-    if told:
+    periods = [
+        f"{seconds:.0f} s {condition}" for condition, seconds in parts.items() if seconds is not None and seconds >= 0.5
+    ]
+    if periods:
         yield (
-            f"poor visibility: {', '.join(told)}; most road users are missed then, and the 90% intervals do not "
+            f"poor visibility: {', '.join(periods)}; most road users are missed then, and the 90% intervals do not "
             "include them (see visibility.csv)"
         )
 
@@ -140,7 +142,7 @@ def remarks(report: "TrafficReport") -> Iterator[str]:
     lost = sum(observation.spans[1:, 0] - observation.spans[:-1, 1])
     if lost >= REMARK_LIMITS.lost_s:
         yield f"{lost:.0f} s within the footage were not observed: no count includes them"
-    if any(np.isnan(one.delay_s) for one in report.delays):
+    if any(np.isnan(delay.delay_s) for delay in report.delays):
         yield (
             "delays: too few vehicles to estimate the free-flow speed of every section (set traffic.free_flow_kmh in "
             "the site file)"
@@ -168,23 +170,23 @@ def remarks_on_counts(report: "TrafficReport") -> Iterator[str]:
         yield (
             f"gate {name!r}: no road user was ever detected near it: either none crossed it, or none can be seen there"
         )
-    for one in report.counts_total:
-        if one.confidence_interval is not None or not one.observed_s or one.gate in missed.gates:
+    for row in report.counts_total:
+        if row.confidence_interval is not None or not row.observed_s or row.gate in missed.gates:
             continue
-        kinds = missed.kinds.get(one.gate, ())
-        if one.class_name == VEHICLE_CATEGORY and kinds and kinds[0].too_small:
+        kinds = missed.kinds.get(row.gate, ())
+        if row.class_name == VEHICLE_CATEGORY and kinds and kinds[0].too_small:
             yield (
-                f"gate {one.gate!r} ({one.direction}): no interval: vehicles are too small in the image there, and "
+                f"gate {row.gate!r} ({row.direction}): no interval: vehicles are too small in the image there, and "
                 "few are detected; draw the gate nearer to the camera"
             )
-        elif one.class_name == VEHICLE_CATEGORY:
+        elif row.class_name == VEHICLE_CATEGORY:
             yield (
-                f"gate {one.gate!r} ({one.direction}): no interval: more vehicles are lost before it, or found behind "
+                f"gate {row.gate!r} ({row.direction}): no interval: more vehicles are lost before it, or found behind "
                 "it, than cross it; move the gate to where vehicles are visible on both sides"
             )
         elif any(kind.too_small for kind in kinds) and not kinds[0].too_small:
             yield (
-                f"gate {one.gate!r} ({one.direction}): pedestrians and two-wheelers are too small in the image there, "
+                f"gate {row.gate!r} ({row.direction}): pedestrians and two-wheelers are too small in the image there, "
                 "and few are detected: only counts of vehicles have intervals"
             )
     if missed.doubtful:
@@ -192,14 +194,14 @@ def remarks_on_counts(report: "TrafficReport") -> Iterator[str]:
             f"{len(missed.doubtful)} crossings are not counted (probability below 0.5, or beside the end of a gate); "
             "they only widen the intervals"
         )
-    between = any(NO_GATE not in (one.origin, one.destination) for one in report.turning_total)
-    if between and any(on_foot(one) for one in report.movements):
+    between = any(NO_GATE not in (row.origin, row.destination) for row in report.turning_total)
+    if between and any(on_foot(movement) for movement in report.movements):
         yield (
             "movements: tracks of pedestrians often switch to a pedestrian beside them: movements that include "
             "pedestrians have no interval, only those of vehicles have one"
         )
     yield from hand_lines(report.manual_count_checks)
-    yield from sight_lines(report.observation)
+    yield from visibility_lines(report.observation)
 
 
 def _of_conflicts(report: "TrafficReport") -> Iterator[str]:
@@ -242,20 +244,20 @@ def _shows(camera: Camera, places: Array) -> Mask:
 def _of_gate(gate: Gate, report: "TrafficReport") -> Iterator[str]:
     """Yield warnings if many tracks begin or end at a gate, or pass close to its ends."""
     number = 0
-    for one in filter(is_in_traffic, report.trajectories):
+    for trajectory in filter(is_in_traffic, report.trajectories):
         for row in (0, -1):
-            signed, along = signed_distances(gate, one.xy[[row]])
+            signed, along = signed_distances(gate, trajectory.xy[[row]])
             length = math.dist(*gate.line)
-            cut = report.observation.is_cut(one.times_s[row])
+            cut = report.observation.is_cut(trajectory.times_s[row])
             number += bool(abs(signed[0]) < REMARK_LIMITS.beside_m and 0 <= along[0] <= length and not cut)
-    total = sum(one.gate == gate.name for one in report.crossings)
+    total = sum(crossing.gate == gate.name for crossing in report.crossings)
     if number >= max(REMARK_LIMITS.few_tracks, REMARK_LIMITS.many_share * total):
         yield (
             f"gate {gate.name!r}: {number} tracks begin or end within {REMARK_LIMITS.beside_m:g} m of it "
             f"({total} crossings): many may be missed; move the gate to where vehicles are visible on both sides"
         )
     perhaps = (*report.crossings, *report.unseen.doubtful)
-    beside = sum("beside" in one.uncertainty_flags and one.gate == gate.name for one in perhaps)
+    beside = sum("beside" in crossing.uncertainty_flags and crossing.gate == gate.name for crossing in perhaps)
     if beside >= max(REMARK_LIMITS.few_tracks, REMARK_LIMITS.many_share * total):
         yield (
             f"gate {gate.name!r}: {beside} road users pass so close to an end of the gate that they may be inside or "

@@ -23,6 +23,7 @@ from skope.traffic.otc_classes import OTC_CLASSES
 from skope.traffic.report_remarks import interval_visibility
 from skope.traffic.speeds import SPEED_PERCENTILES
 from skope.traffic.traffic_report import TrafficReport
+from skope.types import Array
 
 TableRow = Sequence[Any]
 RECORDING_COLUMN: Final = " recording"
@@ -86,72 +87,111 @@ def _recording(report: TrafficReport, time_s: float) -> TableRow:
     return (report.observation.recording_at(time_s),) if report.recordings else ()
 
 
-def _who(one: Track) -> TableRow:
-    return one.number, one.class_name, one.class_confidence
+def _track_cells(track: Track) -> TableRow:
+    return track.number, track.class_name, track.class_confidence
+
+
+_EVENT_COLUMNS: Final = (
+    "event time_s time sigma_s track class class_confidence place direction lane x y speed_kmh speed_sigma_kmh "
+    "front_s rear_s dwell_s probability remark deceleration_ms2 deceleration_sigma_ms2 otc_class length_m "
+    "length_sigma_m length_bin length_bin_probability"
+)
 
 
 def _events(report: TrafficReport) -> ReportTable:
-    def rows() -> Iterator[tuple[float, TableRow]]:
-        for one in report.crossings:
-            place = one.place.tolist() if report.metres else [one.place[0], -one.place[1]]
-            speed_sigma = report.observation.total_sigma(one.speed_sigma, one.speed)
-            ends = (one.speed * KMH_PER_MPS, speed_sigma * KMH_PER_MPS, one.front_s, one.rear_s)
-            tail = (*place, *(ends if report.metres else (None,) * 4), None, one.probability, one.uncertainty_flags)
-            tail = (*tail, *_length(report, one.trajectory))
-            who = ("gate", one.sigma_s, *_who(one.trajectory), one.gate, one.direction_name, one.lane)
-            yield one.time_s, (*who, *tail)
-        for visit in report.visits:
-            borders = ("enter", visit.enter_s, None), ("leave", visit.leave_s, visit.dwell_s)
-            for (event, time_s, dwell), sigma in zip(borders, visit.sigmas_s, strict=True):
-                if not math.isnan(time_s):
-                    place = visit.trajectory.at(visit.trajectory.xy, time_s).tolist()
-                    where = (visit.zone, None, None, *place, None, None, None, None, dwell, None, None, *_NO_LENGTH)
-                    yield time_s, (event, sigma, *_who(visit.trajectory), *where)
-        for change in report.lane_changes:
-            place = change.place.tolist()
-            lanes = (change.from_lane, change.to_lane, change.to_lane)
-            where = (*lanes, *place, *(None,) * 5, change.probability, None, *_NO_LENGTH)
-            yield change.time_s, ("lane change", None, *_who(change.trajectory), *where)
-        for brake in report.brakings:
-            sigma = report.observation.total_sigma(brake.sigma, brake.deceleration)
-            told = f"{brake.deceleration:.1f} m/s2 (sigma {sigma:.1f})"
-            where = (None, None, None, *brake.place.tolist(), *(None,) * 5, brake.probability, told, *_NO_LENGTH)
-            yield brake.time_s, ("hard braking", None, *_who(brake.trajectory), *where)
+    every = [*_crossing_events(report), *_visit_events(report), *_lane_change_events(report), *_braking_events(report)]
+    names = _EVENT_COLUMNS.split()
 
-    ordered = sorted(rows(), key=lambda pair: pair[0])
-    return _table(
-        "event time_s time sigma_s track class class_confidence place direction lane x y speed_kmh speed_sigma_kmh "
-        f"front_s rear_s dwell_s probability remark otc_class length_m length_sigma_m length_bin "
-        f"length_bin_probability{RECORDING_COLUMN if report.recordings else ''}",
-        ((row[0], time_s, clock(report, time_s), *row[1:], *_recording(report, time_s)) for time_s, row in ordered),
-    )
+    def rows() -> Iterator[TableRow]:
+        for event in sorted(every, key=lambda event: event["time_s"]):
+            cells = event | {"time": clock(report, event["time_s"])}
+            yield *(cells.get(name) for name in names), *_recording(report, event["time_s"])
+
+    return _table(f"{_EVENT_COLUMNS}{RECORDING_COLUMN if report.recordings else ''}", rows())
 
 
-_NO_LENGTH: Final = (None,) * 5
+def _event(event: str, time_s: float, track: Track, position: Array) -> dict[str, Any]:
+    """Return the cells that all events have: event, time, road user and position."""
+    who = dict(zip(("track", "class", "class_confidence"), _track_cells(track), strict=True))
+    return {"event": event, "time_s": time_s, **who, "x": float(position[0]), "y": float(position[1])}
 
 
-def _length(report: TrafficReport, one: Track) -> TableRow:
-    """Return cells of a road user: OpenTrafficCam class, length and its standard deviation, bin and its probability."""
-    otc = OTC_CLASSES[one.class_name]
-    if not report.metres or not has_length(one):
-        return otc, *_NO_LENGTH[1:]
+def _crossing_events(report: TrafficReport) -> Iterator[dict[str, Any]]:
+    for crossing in report.crossings:
+        position = crossing.position if report.metres else crossing.position * (1, -1)
+        cells = _event("gate", crossing.time_s, crossing.trajectory, position) | {
+            "sigma_s": crossing.sigma_s,
+            "place": crossing.gate,
+            "direction": crossing.direction_name,
+            "lane": crossing.lane,
+            "probability": crossing.probability,
+            "remark": crossing.uncertainty_flags,
+            **_length(report, crossing.trajectory),
+        }
+        if report.metres:
+            speed_sigma = report.observation.total_sigma(crossing.speed_sigma, crossing.speed)
+            cells |= {
+                "speed_kmh": crossing.speed * KMH_PER_MPS,
+                "speed_sigma_kmh": speed_sigma * KMH_PER_MPS,
+                "front_s": crossing.front_s,
+                "rear_s": crossing.rear_s,
+            }
+        yield cells
+
+
+def _visit_events(report: TrafficReport) -> Iterator[dict[str, Any]]:
+    for visit in report.visits:
+        borders = ("enter", visit.enter_s, None), ("leave", visit.leave_s, visit.dwell_s)
+        for (event, time_s, dwell_s), sigma_s in zip(borders, visit.sigmas_s, strict=True):
+            if not math.isnan(time_s):
+                cells = _event(event, time_s, visit.trajectory, visit.trajectory.at(visit.trajectory.xy, time_s))
+                yield cells | {"sigma_s": sigma_s, "place": visit.zone, "dwell_s": dwell_s}
+
+
+def _lane_change_events(report: TrafficReport) -> Iterator[dict[str, Any]]:
+    for change in report.lane_changes:
+        lanes = {"place": change.from_lane, "direction": change.to_lane, "lane": change.to_lane}
+        cells = _event("lane change", change.time_s, change.trajectory, change.position)
+        yield cells | lanes | {"probability": change.probability}
+
+
+def _braking_events(report: TrafficReport) -> Iterator[dict[str, Any]]:
+    for brake in report.brakings:
+        yield _event("hard braking", brake.time_s, brake.trajectory, brake.position) | {
+            "probability": brake.probability,
+            "deceleration_ms2": brake.deceleration,
+            "deceleration_sigma_ms2": report.observation.total_sigma(brake.sigma, brake.deceleration),
+        }
+
+
+def _length(report: TrafficReport, track: Track) -> dict[str, Any]:
+    """Return cells of a road user: OpenTrafficCam class and, if it has a length, length and bin with their errors."""
+    cells: dict[str, Any] = {"otc_class": OTC_CLASSES[track.class_name]}
+    if not report.metres or not has_length(track):
+        return cells
     common = report.observation.common_scale_sigma
-    return otc, one.length, length_sigma_m(one, common), *length_bin(one, report.site.traffic.length_bins_m, common)
+    name, probability = length_bin(track, report.site.traffic.length_bins_m, common)
+    return cells | {
+        "length_m": track.length,
+        "length_sigma_m": length_sigma_m(track, common),
+        "length_bin": name,
+        "length_bin_probability": probability,
+    }
 
 
 def _trajectories(report: TrafficReport) -> ReportTable:
     step = report.site.traffic.trajectory_interval_s
 
     def rows() -> Iterator[TableRow]:
-        for one in report.trajectories:
-            shown = report.observation.with_camera_error(one.during(np.array(thinned(one, step))))
+        for track in report.trajectories:
+            shown = report.observation.with_camera_error(track.during(np.array(thinned(track, step))))
             for i, time_s in enumerate(shown.times_s.tolist()):
                 yield (
-                    *(one.number, one.class_name, time_s, clock(report, time_s)),
+                    *(track.number, track.class_name, time_s, clock(report, time_s)),
                     *(*shown.xy[i].tolist(), math.degrees(shown.heading[i]), float(shown.speed[i]) * KMH_PER_MPS),
                     *(float(shown.position_sigma[i]), float(shown.speed_sigma[i]) * KMH_PER_MPS),
-                    *(one.length, one.width, int(shown.located[i])),
-                    *(" ".join(map(str, one.joined)), one.stitch_probability, " ".join(one.flags)),
+                    *(track.length, track.width, int(shown.located[i])),
+                    *(" ".join(map(str, track.joined)), track.stitch_probability, " ".join(track.flags)),
                     *_recording(report, time_s),
                 )
 
@@ -162,14 +202,14 @@ def _trajectories(report: TrafficReport) -> ReportTable:
     )
 
 
-def thinned(one: Track, step_s: float) -> list[int]:
+def thinned(track: Track, step_s: float) -> list[int]:
     """Return indices of rows of a track that are at least `step_s` apart, including the first and the last row."""
-    rows, at = [0], float(one.times_s[0])
-    for i, time_s in enumerate(one.times_s[1:-1].tolist(), start=1):
+    rows, at = [0], float(track.times_s[0])
+    for i, time_s in enumerate(track.times_s[1:-1].tolist(), start=1):
         if time_s - at >= step_s - 1e-6:
             rows.append(i)
             at = time_s
-    return [*rows, len(one.times_s) - 1] if len(one.times_s) > 1 else rows
+    return [*rows, len(track.times_s) - 1] if len(track.times_s) > 1 else rows
 
 
 def _visibility(report: TrafficReport) -> ReportTable:
@@ -193,28 +233,30 @@ def _visibility(report: TrafficReport) -> ReportTable:
 
 def _counts(report: TrafficReport) -> ReportTable:
     seen = report.observation
-    poor_s = {one: interval_visibility(seen, one.begin_s, one.end_s).poor_s for one in report.intervals}
+    poor_s = {
+        interval: interval_visibility(seen, interval.begin_s, interval.end_s).poor_s for interval in report.intervals
+    }
     return _table(
         "begin end begin_s end_s observed observed_s low_visibility_s gate direction lane class count "
         "count_low_90 count_high_90 otc_class pce",
         (
             (
-                *_of_interval(one.interval),
+                *_of_interval(row.interval),
                 *(
-                    one.observed,
-                    one.observed_s,
-                    poor_s[one.interval],
-                    one.gate,
-                    one.direction,
-                    one.lane,
-                    one.class_name,
-                    one.count,
+                    row.observed,
+                    row.observed_s,
+                    poor_s[row.interval],
+                    row.gate,
+                    row.direction,
+                    row.lane,
+                    row.class_name,
+                    row.count,
                 ),
-                *in_cells(one.confidence_interval),
-                OTC_CLASSES.get(one.class_name),
-                one.pce,
+                *in_cells(row.confidence_interval),
+                OTC_CLASSES.get(row.class_name),
+                row.pce,
             )
-            for one in report.counts
+            for row in report.counts
         ),
     )
 
@@ -225,21 +267,21 @@ def _lengths(report: TrafficReport) -> ReportTable:
         "count count_low_90 count_high_90 remark",
         (
             (
-                *_of_interval(one.interval),
-                *(one.observed, one.gate, one.direction, one.bin_name, *_bounds(one), one.count),
-                *in_cells(one.confidence_interval),
-                WHY_NOT if one.between_m and one.between_m[0] >= LENGTH_MODEL.longest_measured_m else None,
+                *_of_interval(row.interval),
+                *(row.observed, row.gate, row.direction, row.bin_name, *_bounds(row), row.count),
+                *in_cells(row.confidence_interval),
+                WHY_NOT if row.between_m and row.between_m[0] >= LENGTH_MODEL.longest_measured_m else None,
             )
-            for one in report.lengths
+            for row in report.lengths
         ),
     )
 
 
-def _bounds(one: LengthCount) -> TableRow:
+def _bounds(row: LengthCount) -> TableRow:
     """Return shortest and longest length of a bin, metres; the last bin has no upper limit."""
-    if one.between_m is None:
+    if row.between_m is None:
         return None, None
-    return tuple(end if math.isfinite(end) else None for end in one.between_m)
+    return tuple(end if math.isfinite(end) else None for end in row.between_m)
 
 
 def _manual_count(report: TrafficReport) -> ReportTable:
@@ -248,11 +290,16 @@ def _manual_count(report: TrafficReport) -> ReportTable:
         "count count_low_90 count_high_90 difference geh contradicts",
         (
             (
-                *_of_interval(one.hand.interval),
-                *(one.hand.gate, one.hand.direction_name, one.hand.class_name, one.hand.number, one.count),
-                *(*in_cells(one.confidence_interval), one.count - one.hand.number, one.geh, int(one.contradicts)),
+                *_of_interval(check.hand.interval),
+                *(check.hand.gate, check.hand.direction_name, check.hand.class_name, check.hand.number, check.count),
+                *(
+                    *in_cells(check.confidence_interval),
+                    check.count - check.hand.number,
+                    check.geh,
+                    int(check.contradicts),
+                ),
             )
-            for one in report.manual_count_checks
+            for check in report.manual_count_checks
         ),
     )
 
@@ -263,11 +310,11 @@ def _turning(report: TrafficReport) -> ReportTable:
         "count count_low_90 count_high_90",
         (
             (
-                *_of_interval(one.interval),
-                observed_word(one.interval, report.observation.seconds_in(one.interval.begin_s, one.interval.end_s)),
-                *(*one.origin, *one.destination, one.class_name, one.count, *in_cells(one.confidence_interval)),
+                *_of_interval(row.interval),
+                observed_word(row.interval, report.observation.seconds_in(row.interval.begin_s, row.interval.end_s)),
+                *(*row.origin, *row.destination, row.class_name, row.count, *in_cells(row.confidence_interval)),
             )
-            for one in report.turning
+            for row in report.turning
         ),
     )
 
@@ -279,10 +326,14 @@ def _speeds(report: TrafficReport) -> ReportTable:
         for group in report.speeds:
             cells: list[Any] = []
             for name in SPEED_PERCENTILES:
-                one = group.percentiles[name]
-                cells += [None if v is None else v * KMH_PER_MPS for v in (one.value, one.low, one.high)]
+                percentile = group.percentiles[name]
+                cells += [
+                    None if v is None else v * KMH_PER_MPS for v in (percentile.value, percentile.low, percentile.high)
+                ]
             why = "; ".join(
-                f"{name}: {one.unavailable_reason}" for name, one in group.percentiles.items() if one.unavailable_reason
+                f"{name}: {percentile.unavailable_reason}"
+                for name, percentile in group.percentiles.items()
+                if percentile.unavailable_reason
             )
             yield (
                 *_of_interval(group.interval),
@@ -296,18 +347,18 @@ def _speeds(report: TrafficReport) -> ReportTable:
 
 
 def _headways(report: TrafficReport) -> ReportTable:
-    def pair(one: GateCrossing) -> TableRow:
-        return one.trajectory.number, one.trajectory.class_name
+    def pair(crossing: GateCrossing) -> TableRow:
+        return crossing.trajectory.number, crossing.trajectory.class_name
 
     return _table(
         "time_s time gate direction lane leader leader_class follower follower_class headway_s gap_s sigma_s",
         (
             (
-                *(one.follower.time_s, clock(report, one.follower.time_s)),
-                *(one.follower.gate, one.follower.direction_name, one.follower.lane),
-                *(*pair(one.leader), *pair(one.follower), one.headway_s, one.gap_s, one.sigma_s),
+                *(headway.follower.time_s, clock(report, headway.follower.time_s)),
+                *(headway.follower.gate, headway.follower.direction_name, headway.follower.lane),
+                *(*pair(headway.leader), *pair(headway.follower), headway.headway_s, headway.gap_s, headway.sigma_s),
             )
-            for one in report.headways
+            for headway in report.headways
         ),
     )
 
@@ -317,11 +368,18 @@ def _occupancy(report: TrafficReport) -> ReportTable:
         "begin end begin_s end_s gate direction lane observed_s occupied_s sigma_s occupancy excluded_vehicles",
         (
             (
-                *_of_interval(one.interval),
-                *(one.gate, one.direction, one.lane, one.observed_s, one.occupied_s, one.sigma_s),
-                *(one.occupied_s / one.observed_s, one.excluded_vehicles),
+                *_of_interval(occupancy.interval),
+                *(
+                    occupancy.gate,
+                    occupancy.direction,
+                    occupancy.lane,
+                    occupancy.observed_s,
+                    occupancy.occupied_s,
+                    occupancy.sigma_s,
+                ),
+                *(occupancy.occupied_s / occupancy.observed_s, occupancy.excluded_vehicles),
             )
-            for one in report.occupancies
+            for occupancy in report.occupancies
         ),
     )
 
@@ -332,26 +390,26 @@ def _queues(report: TrafficReport) -> ReportTable:
         "mean_low mean_high",
         (
             (
-                *_of_interval(one.interval),
+                *_of_interval(queue.interval),
                 *(
-                    one.lane,
-                    one.longest_m,
-                    one.sigma_m,
-                    one.longest_at_s,
-                    one.vehicles,
-                    *in_cells(one.vehicles_expected),
+                    queue.lane,
+                    queue.longest_m,
+                    queue.sigma_m,
+                    queue.longest_at_s,
+                    queue.vehicles,
+                    *in_cells(queue.vehicles_expected),
                 ),
-                *(one.mean_vehicles, *one.mean_between),
+                *(queue.mean_vehicles, *queue.mean_between),
             )
-            for one in report.queues
+            for queue in report.queues
         ),
     )
 
 
 def _delays(report: TrafficReport) -> ReportTable:
     def rows() -> Iterator[TableRow]:
-        for one in report.delays:
-            section = one.section
+        for delay in report.delays:
+            section = delay.section
             first = section.movement.origin
             assert first is not None
             yield (
@@ -361,7 +419,7 @@ def _delays(report: TrafficReport) -> ReportTable:
                     section.speed * KMH_PER_MPS,
                     report.observation.total_sigma(section.speed_sigma, section.speed) * KMH_PER_MPS,
                 ),
-                *(one.stops, *in_cells(one.stops_bounds), one.stopped_s, one.delay_s, one.sigma_s),
+                *(delay.stops, *in_cells(delay.stops_bounds), delay.stopped_s, delay.delay_s, delay.sigma_s),
             )
 
     return _table(
@@ -378,12 +436,19 @@ def _conflicts(report: TrafficReport) -> ReportTable:
         "pet_ssam_s pet_area_s pet_sigma_s",
         (
             (
-                *(one.time_s, clock(report, one.time_s), *one.place.tolist(), one.zone, one.kind, one.angle_deg),
-                *(one.first.number, one.first.class_name, one.second.number, one.second.class_name),
-                *(one.ttc_s, one.ttc_low_s, one.ttc_high_s, one.probability),
-                *(one.drac_ms2, one.drac_low_ms2, one.drac_high_ms2),
-                *(one.pet_ssam_s, one.pet_area_s, one.pet_sigma_s),
+                *(
+                    conflict.time_s,
+                    clock(report, conflict.time_s),
+                    *conflict.position.tolist(),
+                    conflict.zone,
+                    conflict.kind,
+                    conflict.angle_deg,
+                ),
+                *(conflict.first.number, conflict.first.class_name, conflict.second.number, conflict.second.class_name),
+                *(conflict.ttc_s, conflict.ttc_low_s, conflict.ttc_high_s, conflict.probability),
+                *(conflict.drac_ms2, conflict.drac_low_ms2, conflict.drac_high_ms2),
+                *(conflict.pet_ssam_s, conflict.pet_area_s, conflict.pet_sigma_s),
             )
-            for one in report.conflicts.conflicts
+            for conflict in report.conflicts.conflicts
         ),
     )

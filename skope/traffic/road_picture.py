@@ -81,7 +81,7 @@ def read_empty_road_picture(folder: Path) -> EmptyRoadPicture | None:
 
 
 ROAD_FILE: Final = "road.jpg"
-ROAD_PLACE_FILE: Final = "road.json"
+ROAD_POSITION_FILE: Final = "road.json"
 
 
 @dataclass(frozen=True)
@@ -98,15 +98,15 @@ class RoadPicture:
 def write_road_picture(folder: Path, picture: RoadPicture) -> list[str]:
     """Write an image and its position to a folder of tracks; return the names of the files."""
     write_bytes(folder / ROAD_FILE, picture.jpeg)
-    write_json(folder / ROAD_PLACE_FILE, {"low": list(picture.low), "high": list(picture.high)})
-    return [ROAD_FILE, ROAD_PLACE_FILE]
+    write_json(folder / ROAD_POSITION_FILE, {"low": list(picture.low), "high": list(picture.high)})
+    return [ROAD_FILE, ROAD_POSITION_FILE]
 
 
 def read_road_picture(folder: Path) -> RoadPicture | None:
     """Read the image in a folder of tracks; None if it or its position is missing."""
-    if not (folder / ROAD_FILE).is_file() or not (folder / ROAD_PLACE_FILE).is_file():
+    if not (folder / ROAD_FILE).is_file() or not (folder / ROAD_POSITION_FILE).is_file():
         return None
-    document = read_json(folder / ROAD_PLACE_FILE)
+    document = read_json(folder / ROAD_POSITION_FILE)
     corners = [_corner(document.get(name)) for name in ("low", "high")] if isinstance(document, dict) else [None]
     if (
         corners[0] is None
@@ -118,6 +118,6 @@ def read_road_picture(folder: Path) -> RoadPicture | None:
 
 
 def _corner(value: Any) -> tuple[float, float] | None:
-    if not isinstance(value, list) or len(value) != 2 or not all(type(one) in (int, float) for one in value):
+    if not isinstance(value, list) or len(value) != 2 or not all(type(number) in (int, float) for number in value):
         return None
     return float(value[0]), float(value[1])

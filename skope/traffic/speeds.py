@@ -90,9 +90,9 @@ def speed_percentiles(
             value, low, high = (
                 middle + drawn * (float(x) - middle) for x in (np.quantile(values, share), *values[list(ranks)])
             )
-            doubt = _ratio_sigma(ratio, n) * abs(float(np.quantile(values, share)) - middle)
+            ratio_error = _ratio_sigma(ratio, n) * abs(float(np.quantile(values, share)) - middle)
             shape = SPEED_MODEL.shape_sigma * min(1.0, 1 - ratio) * math.sqrt(spread)
-            widen = INTERVAL_SIGMAS * math.hypot(doubt, shape, shared * value)
+            widen = INTERVAL_SIGMAS * math.hypot(ratio_error, shape, shared * value)
             out[name] = Percentile(
                 value=value,
                 low=max(0.0, value - math.hypot(value - low, widen)),
@@ -186,7 +186,7 @@ def section_name(movement: Movement) -> str:
 
 def section_passes(found: Sequence[Movement]) -> list[SegmentTraversal]:
     """Return the traversals of all movements with two known gates, in order of time."""
-    return [_pass(one) for one in found if one.origin is not None and one.destination is not None]
+    return [_pass(movement) for movement in found if movement.origin is not None and movement.destination is not None]
 
 
 def _pass(movement: Movement) -> SegmentTraversal:
@@ -220,10 +220,10 @@ def way(trajectory: Track, begin_s: float, end_s: float) -> float:
     inner = trajectory.times_s[(trajectory.times_s > begin_s) & (trajectory.times_s < end_s)]
     places = trajectory.at(trajectory.xy, np.array([begin_s, *inner, end_s]))
     total, at = 0.0, places[0]
-    for place in places[1:-1]:
-        step = math.dist(at, place)
+    for position in places[1:-1]:
+        step = math.dist(at, position)
         if step >= SPEED_MODEL.step_m:
-            total, at = total + step, place
+            total, at = total + step, position
     return total + math.dist(at, places[-1])
 
 
@@ -244,8 +244,8 @@ def speed_groups(
         observation: The observation with the scale error of the camera.
     """
     known = observation.common_scale_sigma
-    crossings = [one for one in crossings if has_plausible_speed(one.trajectory)]
-    sections = [one for one in sections if has_plausible_speed(one.movement.trajectory)]
+    crossings = [crossing for crossing in crossings if has_plausible_speed(crossing.trajectory)]
+    sections = [section for section in sections if has_plausible_speed(section.movement.trajectory)]
 
     def grouped(
         kind: str,
@@ -254,18 +254,20 @@ def speed_groups(
         of: Callable[[_Measured], tuple[float, str, float, float]],
     ) -> Iterator[SpeedGroup]:
         """Yield the groups of one kind. `of` returns time, class, speed and sigma of a row."""
-        for place in sorted({where(row) for row in rows}):
-            own = [of(row) for row in rows if where(row) == place]
+        for location in sorted({where(row) for row in rows}):
+            location_rows = [of(row) for row in rows if where(row) == location]
             for interval in (None, *intervals):
-                there = [row for row in own if interval is None or interval.begin_s <= row[0] < interval.end_s]
+                interval_rows = [
+                    row for row in location_rows if interval is None or interval.begin_s <= row[0] < interval.end_s
+                ]
                 classes = (MOTOR_TRAFFIC, *TRAFFIC_CLASSES) if interval is None else (MOTOR_TRAFFIC,)
                 for name in classes:
-                    chosen = [row for row in there if _is(row[1], name)]
+                    chosen = [row for row in interval_rows if _is(row[1], name)]
                     if chosen:
                         yield SpeedGroup(
                             interval=interval,
                             kind=kind,
-                            where=place,
+                            where=location,
                             class_name=name,
                             number=len(chosen),
                             percentiles=speed_percentiles(
@@ -278,14 +280,14 @@ def speed_groups(
         *grouped(
             "spot",
             crossings,
-            lambda one: f"{one.gate} ({one.direction_name})",
-            lambda one: (one.time_s, one.trajectory.class_name, one.speed, one.speed_sigma),
+            lambda crossing: f"{crossing.gate} ({crossing.direction_name})",
+            lambda crossing: (crossing.time_s, crossing.trajectory.class_name, crossing.speed, crossing.speed_sigma),
         ),
         *grouped(
             "section",
             sections,
-            lambda one: one.name,
-            lambda one: (one.movement.time_s, _class_of(one.movement), one.speed, one.speed_sigma),
+            lambda section: section.name,
+            lambda section: (section.movement.time_s, _class_of(section.movement), section.speed, section.speed_sigma),
         ),
     ]
 

@@ -45,7 +45,7 @@ JOIN_LIMITS: Final = JoinLimits()
 
 def stitch_tracks(tracks: Sequence[Track]) -> list[Track]:
     """Return the tracks with broken tracks joined, in order of their start."""
-    ordered = sorted(tracks, key=lambda one: (float(one.times_s[0]), one.number))
+    ordered = sorted(tracks, key=lambda track: (float(track.times_s[0]), track.number))
     follows: dict[int, tuple[int, float]] = {}
     taken: set[int] = set()
     for probability, i, j in _likely_pairs(ordered):
@@ -66,7 +66,7 @@ def stitch_tracks(tracks: Sequence[Track]) -> list[Track]:
 
 def _likely_pairs(ordered: Sequence[Track]) -> list[tuple[float, int, int]]:
     """Return the pairs to join as (probability, first index, second index), most likely first."""
-    begins = np.array([one.times_s[0] for one in ordered])
+    begins = np.array([track.times_s[0] for track in ordered])
     likelihood: dict[tuple[int, int], float] = {}
     by_end, by_begin = defaultdict[int, float](float), defaultdict[int, float](float)
     for i, before in enumerate(ordered):
@@ -127,7 +127,7 @@ def _together(before: Track, after: Track, probability: float) -> Track:
     """Return one track made of two. `Track.at` interpolates linearly between them."""
     kept = _until(before, float(after.times_s[0]))
     assert kept is not None
-    longer, shorter = sorted((before, after), key=lambda one: -int(one.located.sum()))
+    longer, shorter = sorted((before, after), key=lambda track: -int(track.located.sum()))
     return replace(
         longer,
         **concatenated(kept, after),

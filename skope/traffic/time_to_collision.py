@@ -44,7 +44,7 @@ class HardBraking:
     trajectory: Track
     time_s: float
     """Time of the hardest braking, seconds."""
-    place: Array
+    position: Array
     """(2,) position at `time_s`, metres."""
     deceleration: float
     """Mean deceleration over one second, m/s^2, positive."""
@@ -65,7 +65,7 @@ def hard_brakings(trajectories: Sequence[Track], settings: TrafficSettings) -> l
             hardest = _hardest(trajectory, settings.hard_braking_ms2)
             if hardest is not None and hardest.probability > COLLISION_LIMITS.least_probability:
                 found.append(hardest)
-    return sorted(found, key=lambda one: one.time_s)
+    return sorted(found, key=lambda braking: braking.time_s)
 
 
 def _hardest(trajectory: Track, limit: float) -> HardBraking | None:
@@ -87,7 +87,7 @@ def _hardest(trajectory: Track, limit: float) -> HardBraking | None:
     return HardBraking(
         trajectory=trajectory,
         time_s=middle,
-        place=trajectory.at(trajectory.xy, middle),
+        position=trajectory.at(trajectory.xy, middle),
         deceleration=hardest,
         sigma=sigma,
         probability=at_most((hardest - limit) / sigma) if sigma > 0 else float(hardest > limit),
@@ -112,28 +112,28 @@ class SampledStates:
 
 
 def times_to_collision(
-    one: FootprintPath,
-    other: FootprintPath,
+    first: FootprintPath,
+    second: FootprintPath,
     rows: tuple[NDArray[np.intp], NDArray[np.intp]],
     horizon_s: float,
-    doubt: SampledStates | None = None,
+    samples: SampledStates | None = None,
 ) -> Array:
     """Return the times to collision at K times.
 
     Args:
-        one: Path of the first road user.
-        other: Path of the second road user.
+        first: Path of the first road user.
+        second: Path of the second road user.
         rows: (K,) rows of each path, at the same times.
         horizon_s: Longest time to collision that is searched for, seconds.
-        doubt: Sampled positions and speeds instead of the measured ones; None: as measured.
+        samples: Sampled positions and speeds instead of the measured ones; None: as measured.
 
     Returns:
         (K,) times to collision, seconds; infinite if there is no collision within `horizon_s`.
     """
-    legs, ways = _ways((one, other), rows, horizon_s, doubt)
+    starts_s, ways = _ways((first, second), rows, horizon_s, samples)
     begin, end = meeting(*ways[0], *ways[1])
     met = (begin <= end) & (end >= 0) & (begin <= COLLISION_LIMITS.straight_s)
-    seconds = np.where(met, legs + np.maximum(begin, 0), np.inf).min(axis=1)
+    seconds = np.where(met, starts_s + np.maximum(begin, 0), np.inf).min(axis=1)
     return np.asarray(np.where(seconds <= horizon_s, seconds, np.inf))
 
 
@@ -141,77 +141,77 @@ def _ways(
     paths: tuple[FootprintPath, FootprintPath],
     rows: tuple[NDArray[np.intp], NDArray[np.intp]],
     horizon_s: float,
-    doubt: SampledStates | None,
+    samples: SampledStates | None,
 ) -> tuple[Array, list[tuple[Array, Array]]]:
     """Return the paths ahead of two road users as L straight segments.
 
     Returns:
         (L,) start times of the segments, and for each road user corners (K, L, 4, 2) and velocities (K, L, 2).
     """
-    legs = np.asarray(
+    starts_s = np.asarray(
         np.arange(int(np.ceil(horizon_s / COLLISION_LIMITS.straight_s)) + 1) * COLLISION_LIMITS.straight_s,
         dtype=np.float64,
     )
     ways = []
     for k, path in enumerate(paths):
-        speed = path.speed[rows[k]] if doubt is None else doubt.speeds[k]
-        index = np.broadcast_to(rows[k][:, None], (len(rows[k]), len(legs)))
-        place, facing = path.ahead(index, speed[:, None] * legs)
-        place = place if doubt is None else place + doubt.shifts[k][:, None]
-        boxes = footprint_corners(place[:, :-1], facing[:, :-1], path.size)
-        ways.append((boxes, np.diff(place, axis=1) / COLLISION_LIMITS.straight_s))
-    return legs[:-1], ways
+        speed = path.speed[rows[k]] if samples is None else samples.speeds[k]
+        index = np.broadcast_to(rows[k][:, None], (len(rows[k]), len(starts_s)))
+        position, facing = path.ahead(index, speed[:, None] * starts_s)
+        position = position if samples is None else position + samples.shifts[k][:, None]
+        boxes = footprint_corners(position[:, :-1], facing[:, :-1], path.size)
+        ways.append((boxes, np.diff(position, axis=1) / COLLISION_LIMITS.straight_s))
+    return starts_s[:-1], ways
 
 
-def angle_deg(one: Array, other: Array) -> Array:
+def angle_deg(first: Array, second: Array) -> Array:
     """Return (...,) angles between unit vectors (..., 2), degrees."""
-    return np.asarray(np.degrees(np.arccos(np.clip(np.einsum("...i,...i->...", one, other), -1, 1))))
+    return np.asarray(np.degrees(np.arccos(np.clip(np.einsum("...i,...i->...", first, second), -1, 1))))
 
 
 def deceleration_to_avoid(
-    one: FootprintPath,
-    other: FootprintPath,
+    first: FootprintPath,
+    second: FootprintPath,
     rows: tuple[NDArray[np.intp], NDArray[np.intp]],
     seconds: Array,
-    doubt: SampledStates | None = None,
+    samples: SampledStates | None = None,
 ) -> Array:
     """Return the decelerations that avoid collisions.
 
     Args:
-        one: Path of the first road user.
-        other: Path of the second road user.
+        first: Path of the first road user.
+        second: Path of the second road user.
         rows: (K,) rows of each path, at the same times.
         seconds: (K,) times to collision, seconds; infinite for none.
-        doubt: Sampled positions and speeds instead of the measured ones; None: as measured.
+        samples: Sampled positions and speeds instead of the measured ones; None: as measured.
 
     Returns:
         (K,) decelerations, m/s²; 0 if no collision is ahead.
     """
-    speeds = doubt.speeds if doubt else (one.speed[rows[0]], other.speed[rows[1]])
+    speeds = samples.speeds if samples else (first.speed[rows[0]], second.speed[rows[1]])
     ahead = np.isfinite(seconds)
-    along = angle_deg(one.facing[rows[0]], other.facing[rows[1]]) < COLLISION_LIMITS.rear_end_deg
+    along = angle_deg(first.facing[rows[0]], second.facing[rows[1]]) < COLLISION_LIMITS.rear_end_deg
     out = np.where(ahead & along, np.abs(speeds[0] - speeds[1]) / (2 * np.maximum(seconds, 0.05)), 0.0)
     crossing = np.flatnonzero(ahead & ~along)
     for part in np.split(crossing, range(COLLISION_LIMITS.block_rows, len(crossing), COLLISION_LIMITS.block_rows)):
-        chosen = None if doubt is None else doubt.only(part)
-        out[part] = _across(one, other, (rows[0][part], rows[1][part]), (speeds[0][part], speeds[1][part]), chosen)
+        chosen = None if samples is None else samples.only(part)
+        out[part] = _across(first, second, (rows[0][part], rows[1][part]), (speeds[0][part], speeds[1][part]), chosen)
     return np.asarray(out)
 
 
 def _across(
-    one: FootprintPath,
-    other: FootprintPath,
+    first: FootprintPath,
+    second: FootprintPath,
     rows: tuple[NDArray[np.intp], NDArray[np.intp]],
     speeds: tuple[Array, Array],
-    doubt: SampledStates | None,
+    samples: SampledStates | None,
 ) -> Array:
     """Return (K,) decelerations, m/s^2, with which the later road user lets the first one leave the common area."""
-    legs, ways = _ways((one, other), rows, COLLISION_LIMITS.passed_s, doubt)
-    stays = _stay(legs, ways[0], ways[1][0]), _stay(legs, ways[1], ways[0][0])
+    starts_s, ways = _ways((first, second), rows, COLLISION_LIMITS.passed_s, samples)
+    stays = _stay(starts_s, ways[0], ways[1][0]), _stay(starts_s, ways[1], ways[0][0])
     out = np.zeros(len(rows[0]))
-    for second, first in ((0, 1), (1, 0)):
-        speed, enter, gone = speeds[second], stays[second][0], stays[first][1]
-        later = (enter >= stays[first][0]) & (enter < gone) & np.isfinite(gone) & (enter > 0)
+    for following, leading in ((0, 1), (1, 0)):
+        speed, enter, gone = speeds[following], stays[following][0], stays[leading][1]
+        later = (enter >= stays[leading][0]) & (enter < gone) & np.isfinite(gone) & (enter > 0)
         away = speed * np.where(later, enter, 0.0)
         safe = np.where(later, gone, 1.0)
         passing = 2 * (speed - away / safe) / safe
@@ -222,14 +222,14 @@ def _across(
     return out
 
 
-def _stay(legs: Array, way: tuple[Array, Array], places: Array) -> tuple[Array, Array]:
+def _stay(starts_s: Array, way: tuple[Array, Array], places: Array) -> tuple[Array, Array]:
     """Return (K,) times at which a road user first and last touches areas (K, L, 4, 2), seconds; infinite for none."""
     shape = (*way[0].shape[:2], places.shape[1])
     moving = np.broadcast_to(way[0][:, :, None], (*shape, 4, 2))
     velocity = np.broadcast_to(way[1][:, :, None], (*shape, 2))
     begin, end = meeting(moving, velocity, np.broadcast_to(places[:, None], (*shape, 4, 2)), np.zeros((*shape, 2)))
     met = (begin <= end) & (end >= 0) & (begin <= COLLISION_LIMITS.straight_s)
-    since = legs[:, None]
+    since = starts_s[:, None]
     enter = np.where(met, since + np.maximum(begin, 0), np.inf).min(axis=(1, 2))
     leave = np.where(met, since + np.minimum(end, COLLISION_LIMITS.straight_s), -np.inf).max(axis=(1, 2))
     return enter, np.where(np.isfinite(enter), leave, np.inf)

@@ -93,49 +93,52 @@ def report_lines(report: TrafficReport) -> Iterator[str]:
         yield from text_table(["from", "to", "class", "count", "90% interval"], movements, "lll")
     if not report.metres:
         return
-    likely = [one for one in report.conflicts.conflicts if one.ttc_s <= report.site.traffic.ttc_s]
-    others = len(report.conflicts.conflicts) - len(likely)
-    told = count_interval([one.probability for one in likely], (0.0, 1.0))
-    sure = f" ({told.low} to {told.high} of them real)" if likely else ""
+    likely = [conflict for conflict in report.conflicts.conflicts if conflict.ttc_s <= report.site.traffic.ttc_s]
+    by_encroachment = len(report.conflicts.conflicts) - len(likely)
+    real = count_interval([conflict.probability for conflict in likely], (0.0, 1.0))
+    sure = f" ({real.low} to {real.high} of them real)" if likely else ""
     yield (
-        f"{len(report.headways)} headways; {len(likely)} conflicts by time to collision{sure}, {others} more by "
-        f"encroachment; {len(report.brakings)} vehicles with hard braking"
+        f"{len(report.headways)} headways; {len(likely)} conflicts by time to collision{sure}, {by_encroachment} more "
+        f"by encroachment; {len(report.brakings)} vehicles with hard braking"
     )
 
 
 def _gates(report: TrafficReport) -> Iterator[list[str]]:
     speeds = {
-        one.where: one.percentiles
-        for one in report.speeds
-        if one.kind == "spot" and one.interval is None and one.class_name == MOTOR_TRAFFIC
+        group.where: group.percentiles
+        for group in report.speeds
+        if group.kind == "spot" and group.interval is None and group.class_name == MOTOR_TRAFFIC
     }
-    for one in report.counts_total:
-        told = in_words(one.confidence_interval)
-        found = speeds.get(f"{one.gate} ({one.direction})", {}) if one.class_name == ALL_CLASSES else {}
+    for row in report.counts_total:
+        interval = in_words(row.confidence_interval)
+        found = speeds.get(f"{row.gate} ({row.direction})", {}) if row.class_name == ALL_CLASSES else {}
         yield [
-            *(one.gate, one.direction, one.class_name, str(one.count or 0), told),
+            *(row.gate, row.direction, row.class_name, str(row.count or 0), interval),
             *(_speed(found.get(name)) for name in ("v50", "v85")),
         ]
 
 
 def _by_hand(report: TrafficReport) -> Iterator[list[str]]:
-    for one in report.manual_count_checks:
-        told = in_words(one.confidence_interval)
-        hand = one.hand
-        counted = (str(hand.number), str(one.count), told, f"{one.geh:.1f}")
+    for check in report.manual_count_checks:
+        interval = in_words(check.confidence_interval)
+        hand = check.hand
+        counted = (str(hand.number), str(check.count), interval, f"{check.geh:.1f}")
         yield [hand.gate, hand.direction_name, hand.class_name, *counted]
 
 
-def _speed(one: Percentile | None) -> str:
-    if one is None or one.value is None or one.low is None or one.high is None:
+def _speed(percentile: Percentile | None) -> str:
+    if percentile is None or percentile.value is None or percentile.low is None or percentile.high is None:
         return "-"
-    return f"{one.value * KMH_PER_MPS:.1f} ({one.low * KMH_PER_MPS:.1f} to {one.high * KMH_PER_MPS:.1f})"
+    return (
+        f"{percentile.value * KMH_PER_MPS:.1f} "
+        f"({percentile.low * KMH_PER_MPS:.1f} to {percentile.high * KMH_PER_MPS:.1f})"
+    )
 
 
 def _movements(report: TrafficReport) -> Iterator[list[str]]:
     """Yield the pairs of gates with movements between them, over the whole footage."""
-    for one in report.turning_total:
-        if NO_GATE not in (one.origin, one.destination):
-            sides = [f"{gate} ({direction})" for gate, direction in (one.origin, one.destination)]
-            told = in_words(one.confidence_interval)
-            yield [*sides, one.class_name, str(one.count or 0), told]
+    for row in report.turning_total:
+        if NO_GATE not in (row.origin, row.destination):
+            sides = [f"{gate} ({direction})" for gate, direction in (row.origin, row.destination)]
+            interval = in_words(row.confidence_interval)
+            yield [*sides, row.class_name, str(row.count or 0), interval]

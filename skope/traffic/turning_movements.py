@@ -67,7 +67,9 @@ class Movement:
     @property
     def probability(self) -> float:
         """Probability that the movement happened: both crossings are real and belong to the same road user."""
-        return self.same * min(one.probability for one in (self.origin, self.destination) if one is not None)
+        return self.same * min(
+            crossing.probability for crossing in (self.origin, self.destination) if crossing is not None
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,17 +111,17 @@ def movements(
         step_s: Usual time between positions in the footage (`usual_step`), seconds. None: tracks are assumed not to
             switch.
     """
-    chosen = [one for one in crossings if settings.turning is None or one.gate in settings.turning]
+    chosen = [crossing for crossing in crossings if settings.turning is None or crossing.gate in settings.turning]
     by_track: dict[int, list[GateCrossing]] = {}
-    for one in chosen:
-        by_track.setdefault(one.trajectory.number, []).append(one)
+    for crossing in chosen:
+        by_track.setdefault(crossing.trajectory.number, []).append(crossing)
     found = [
         movement
         for chain in by_track.values()
         for before, after in itertools.pairwise([None, *chain, None])
         for movement in _between(before, after, step_s)
     ]
-    return sorted(found, key=lambda one: one.time_s)
+    return sorted(found, key=lambda movement: movement.time_s)
 
 
 def _between(before: GateCrossing | None, after: GateCrossing | None, step_s: float | None) -> list[Movement]:
@@ -161,23 +163,23 @@ def turning_counts(
         for k, name in enumerate(direction_names(gate))
     }
     order = {side: k for k, side in enumerate([*((g.name, d) for g in chosen for d in direction_names(g)), NO_GATE])}
-    pairs = sorted({one.sides for one in found}, key=lambda pair: (order[pair[0]], order[pair[1]]))
+    pairs = sorted({movement.sides for movement in found}, key=lambda pair: (order[pair[0]], order[pair[1]]))
     out = []
     for interval in intervals:
         observed = observation.seconds_in(interval.begin_s, interval.end_s) > 0
-        there = [one for one in found if interval.begin_s <= one.time_s < interval.end_s]
+        in_interval = [movement for movement in found if interval.begin_s <= movement.time_s < interval.end_s]
         for pair in pairs:
             alike = None if not observed or NO_GATE in pair else _missed_more(kinds[pair[0]], kinds[pair[1]])
             for class_name in row_classes(settings):
                 classes = classes_of(class_name, settings)
-                members = [one for one in there if one.trajectory.class_name in classes]
+                members = [movement for movement in in_interval if movement.trajectory.class_name in classes]
                 out.append(
                     TurningMovementCount(
                         interval=interval,
                         origin=pair[0],
                         destination=pair[1],
                         class_name=class_name,
-                        count=sum(one.sides == pair for one in members) if observed else None,
+                        count=sum(movement.sides == pair for movement in members) if observed else None,
                         confidence_interval=None
                         if alike is None
                         else _confidence_interval(members, pair, alike, classes),
@@ -204,18 +206,20 @@ def _confidence_interval(
     extreme because their destination has no gate, or has a gate that loses them. Movements with pedestrians have no
     interval because more than half of the tracks of pedestrians switch to another pedestrian between gates.
     """
-    if any(on_foot(one) and (one.sides[0] == pair[0] or one.sides[1] == pair[1]) for one in members):
+    if any(
+        on_foot(movement) and (movement.sides[0] == pair[0] or movement.sides[1] == pair[1]) for movement in members
+    ):
         return None
     errors = []
     for kind in kinds:
-        own = [one for one in members if one.trajectory.class_name in kind.classes]
+        group_members = [movement for movement in members if movement.trajectory.class_name in kind.classes]
         if kind.classes.isdisjoint(classes):
             continue
         if kind.too_small:
             return None
-        false = [1 - kind.real * one.probability for one in own if one.sides == pair]
-        lost = sum(one.sides == (pair[0], NO_GATE) for one in own)
+        false = [1 - kind.real * movement.probability for movement in group_members if movement.sides == pair]
+        lost = sum(movement.sides == (pair[0], NO_GATE) for movement in group_members)
         # If only lost road users may have made this movement, no further ones are assumed to be missed.
         missed = kind.missed if false or not lost else NOTHING_MISSED
         errors.append(CountErrors(false, possible=lost, came=LOST_PRIOR, missed=missed))
-    return CountDistribution(sum(len(one.false) for one in errors), errors).interval()
+    return CountDistribution(sum(len(group_errors.false) for group_errors in errors), errors).interval()

@@ -49,15 +49,15 @@ def _recordings(report: TrafficReport) -> list[dict[str, Any]]:
     return [
         {
             "recording": number,
-            "tracks": str(one.folder),
-            "footage": one.source,
-            "begin": one.begin.isoformat(),
-            "begin_s": one.begin_s,
-            "guessed": one.guessed,
-            "later_s": one.late_s,
-            "added_to_track": one.added,
+            "tracks": str(recording.folder),
+            "footage": recording.source,
+            "begin": recording.begin.isoformat(),
+            "begin_s": recording.begin_s,
+            "guessed": recording.guessed,
+            "later_s": recording.late_s,
+            "added_to_track": recording.added,
         }
-        for number, one in enumerate(report.recordings, start=1)
+        for number, recording in enumerate(report.recordings, start=1)
     ]
 
 
@@ -73,16 +73,16 @@ def report_summary(report: TrafficReport, *, tracks: str | list[str], revision: 
     spans = observation.spans
     totals = [
         {
-            "gate": one.gate,
-            "direction": one.direction,
-            "class": one.class_name,
-            "count": one.count,
-            **in_json(one.confidence_interval),
-            **({} if one.pce is None else {"pce": one.pce}),
+            "gate": row.gate,
+            "direction": row.direction,
+            "class": row.class_name,
+            "count": row.count,
+            **in_json(row.confidence_interval),
+            **({} if row.pce is None else {"pce": row.pce}),
         }
-        for one in report.counts_total
+        for row in report.counts_total
     ]
-    likely = [one.probability for one in report.conflicts.conflicts if not math.isnan(one.probability)]
+    likely = [conflict.probability for conflict in report.conflicts.conflicts if not math.isnan(conflict.probability)]
     sure = count_interval(likely, (0.0, 1.0))
     return {
         "skope": __version__,
@@ -99,19 +99,19 @@ def report_summary(report: TrafficReport, *, tracks: str | list[str], revision: 
         "camera_common_sigma": observation.common_scale_sigma,
         "interval_level": INTERVAL_LEVEL,
         "trajectories": len(report.trajectories),
-        "joined": [[one.number, *one.joined] for one in report.trajectories if one.joined],
+        "joined": [[trajectory.number, *trajectory.joined] for trajectory in report.trajectories if trajectory.joined],
         "counts": totals,
         "peak_hour": peak_hours_in_json(report),
         "manual_counts": len(report.manual_count_checks),
         "turning": [
             {
-                "from": list(one.origin),
-                "to": list(one.destination),
-                "class": one.class_name,
-                "count": one.count,
-                **in_json(one.confidence_interval),
+                "from": list(row.origin),
+                "to": list(row.destination),
+                "class": row.class_name,
+                "count": row.count,
+                **in_json(row.confidence_interval),
             }
-            for one in report.turning_total
+            for row in report.turning_total
         ],
         "conflicts_by_ttc": {"count": len(likely), "low": sure.low, "high": sure.high},
         "hard_brakings": len(report.brakings),

@@ -78,12 +78,12 @@ def visits(trajectories: Sequence[Track], zones: Sequence[Zone], settings: Traff
         for trajectory in trajectories
         if trajectory.confirmed and trajectory.class_name in settings.classes
         for zone in zones
-        for visit in _of_one(trajectory, zone, settings)
+        for visit in _visits_of_track(trajectory, zone, settings)
     ]
-    return sorted(found, key=lambda one: (one.seen_s[0], one.trajectory.number, one.zone))
+    return sorted(found, key=lambda visit: (visit.seen_s[0], visit.trajectory.number, visit.zone))
 
 
-def _of_one(trajectory: Track, zone: Zone, settings: TrafficSettings) -> list[ZoneVisit]:
+def _visits_of_track(trajectory: Track, zone: Zone, settings: TrafficSettings) -> list[ZoneVisit]:
     signed = depth_in_polygon(np.array(zone.polygon), trajectory.xy)
     times = trajectory.times_s
     if (signed < 0).all():
@@ -95,8 +95,8 @@ def _of_one(trajectory: Track, zone: Zone, settings: TrafficSettings) -> list[Zo
         changes[0].from_side > 0 if changes else bool(signed[0] >= 0 and signed.max() >= settings.hysteresis_m)
     )
     enters = [math.nan] if begins_inside else []
-    enters += [one.time_s for one in changes if one.from_side < 0]
-    leaves = [one.time_s for one in changes if one.from_side > 0]
+    enters += [change.time_s for change in changes if change.from_side < 0]
+    leaves = [change.time_s for change in changes if change.from_side > 0]
     leaves += [math.nan] * (len(enters) - len(leaves))
     out = []
     for enter_s, leave_s in zip(enters, leaves, strict=True):

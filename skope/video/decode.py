@@ -192,9 +192,9 @@ def _quarters(frame: "VideoFrame") -> int:
     return round(frame.rotation / 90) % 4
 
 
-def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
+def same_shape(first: tuple[int, int], second: tuple[int, int]) -> bool:
     """Return whether two sizes (width, height) have one aspect ratio, within a pixel of the smaller one."""
-    return abs(size[0] * other[1] - size[1] * other[0]) <= max(*size, *other)
+    return abs(first[0] * second[1] - first[1] * second[0]) <= max(*first, *second)
 
 
 def fitted(pixels: Pixels, size: tuple[int, int]) -> Pixels | None:

@@ -103,7 +103,7 @@ class Footage(ABC):
 
     @property
     @abstractmethod
-    def place(self) -> Path | None:
+    def location(self) -> Path | None:
         """The video file, or the folder that the images' names are relative to; None for a source on a server."""
 
     @property
@@ -146,10 +146,10 @@ class ImageFiles(Footage):
 
     @property
     def names(self) -> list[str]:
-        return [path.relative_to(self.place).as_posix() for path in self.images]
+        return [path.relative_to(self.location).as_posix() for path in self.images]
 
     @property
-    def place(self) -> Path:
+    def location(self) -> Path:
         return Path(os.path.commonpath([path.parent for path in self.images]))
 
     @property
@@ -178,7 +178,7 @@ class VideoFootage(Footage):
     clip: VideoInfo = field(kw_only=True)
 
     @property
-    def place(self) -> Path | None:
+    def location(self) -> Path | None:
         return None if self.clip.on_server else Path(self.clip.address)
 
     @property
@@ -192,7 +192,7 @@ class VideoFootage(Footage):
 
     def _skip_shape(self, frame: "VideoFrame", size: tuple[int, int]) -> None:
         """Note that frames have another aspect ratio than the first one, of a size (width, height)."""
-        left_out, first = ("x".join(map(str, one)) for one in (shown_size(frame), size))
+        left_out, first = ("x".join(map(str, shape)) for shape in (shown_size(frame), size))
         self._skip(f"{shown_address(self.clip.address)}: frames of {left_out} are left out; the first is {first}")
 
 
@@ -235,8 +235,8 @@ class RecordedVideo(VideoFootage):
         if clip.stamps or len(left) * self.cut.every > clip.rate * FOOTAGE_LIMITS.rounded_s:
             self._note_missing([at for _, at in left])
         if clip.lost > clip.rate * FOOTAGE_LIMITS.rounded_s and self.cut.end_s > clip.times_s[-1]:
-            there = len(clip.times_s)
-            self._skip(f"{clip.address}: ends after {there} of {there + clip.lost} frames that it lists")
+            contained = len(clip.times_s)
+            self._skip(f"{clip.address}: ends after {contained} of {contained + clip.lost} frames that it lists")
 
     def _note_missing(self, missing: Sequence[int]) -> None:
         if not missing:
@@ -286,7 +286,7 @@ class LiveStream(VideoFootage):
 
     def frames(self, first: int = 0) -> Iterator[tuple[Image, Pixels]]:
         clip, record = self.clip, StreamRecord()
-        told = 0
+        reported = 0
         with contextlib.closing(live.stream_frames(clip.address, self.cut.every, record)) as frames:
             wanted = (frame for frame in frames if frame.time_s >= self.cut.start_s)
             try:
@@ -295,7 +295,7 @@ class LiveStream(VideoFootage):
                         break
                     if self.start_time is None:
                         self.start_time = datetime.now(UTC) - timedelta(seconds=frame.time_s)
-                    told = self._tell(record, told)
+                    reported = self._report(record, reported)
                     record.taken += 1
                     name = f"{self.name}/{frame.number:06d}"
                     yield _image(number, name, frame.pixels, frame.number, frame.time_s), frame.pixels
@@ -303,12 +303,12 @@ class LiveStream(VideoFootage):
                 self.broken_off = f"{self.name}: {error}"
                 self._skip(self.broken_off)
             finally:
-                self._tell(record, told)
+                self._report(record, reported)
                 self.notes.append(f"{self.name}: {record}")
 
-    def _tell(self, record: StreamRecord, told: int) -> int:
-        """Add the events from number `told` on to the notes; return the number of events."""
-        self.notes += [f"{self.name}: {event}" for event in record.events[told:]]
+    def _report(self, record: StreamRecord, reported: int) -> int:
+        """Add the events from number `reported` on to the notes; return the number of events."""
+        self.notes += [f"{self.name}: {event}" for event in record.events[reported:]]
         return len(record.events)
 
 

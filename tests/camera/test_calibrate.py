@@ -68,7 +68,7 @@ def test_the_pose_is_opencvs_where_the_lens_is_known() -> None:
     points = tuple(MarkedPoint(a, b, sigma_m=1e-6, sigma_z_m=1e-6) for a, b in zip(pixels, places, strict=True))
     lens = CameraPrior(("focal", "k1"), np.array([math.log(CAMERA.K[0, 0]), 0.0]), 1e-14 * np.eye(2))
     prior = CameraPrior(("roll",), np.zeros(1), np.array([[1e6]]))
-    found = calibrate(Evidence(SIZE, points=points, beliefs=(lens, prior))).camera
+    found = calibrate(Evidence(SIZE, points=points, priors=(lens, prior))).camera
     _, turn, shift = cv2.solvePnP(places, pixels, camera.K, None)
     turn, shift = cv2.solvePnPRefineLM(places, pixels, camera.K, None, turn, shift)
     theirs = -cv2.Rodrigues(turn)[0].T @ shift.ravel()
@@ -83,7 +83,7 @@ def test_a_length_gives_the_height_by_similar_triangles() -> None:
     a, b = intersect_ground(unit, ends)
     metres = 5.5
     found = calibrate(
-        Evidence(SIZE, lengths=(MarkedLength(ends, metres),), beliefs=(known("focal", "k1", "pitch", "roll"),))
+        Evidence(SIZE, lengths=(MarkedLength(ends, metres),), priors=(known("focal", "k1", "pitch", "roll"),))
     )
     assert found.camera.position[2] == pytest.approx(metres / np.linalg.norm(b - a), rel=1e-5)
     # 0.05 m of 5.5, and ends that are 1.5 px off.
@@ -102,13 +102,13 @@ def test_verticals_give_tilt_and_roll() -> None:
     tops = CAMERA.project(feet + [0, 0, 3.0])[0]
     verticals = tuple(Vertical(np.stack([foot, top])) for foot, top in zip(PIXELS[[0, 1, 2, 3, 4]], tops, strict=True))
     found = calibrate(
-        Evidence(SIZE, verticals=verticals, beliefs=(known("focal", "k1"), CameraPrior.of_height(7.0, 0.01)))
+        Evidence(SIZE, verticals=verticals, priors=(known("focal", "k1"), CameraPrior.of_height(7.0, 0.01)))
     )
     _, pitch, roll = found.camera.angles
     assert pitch == pytest.approx(0.3, abs=1e-4)
     assert roll == pytest.approx(0.0, abs=1e-4)
     high = calibrate(
-        Evidence(SIZE, verticals=tuple(replace(one, metres=3.0) for one in verticals), beliefs=(known("focal", "k1"),))
+        Evidence(SIZE, verticals=tuple(replace(one, metres=3.0) for one in verticals), priors=(known("focal", "k1"),))
     )
     assert high.camera.position[2] == pytest.approx(7.0, abs=1e-2)
 

@@ -41,7 +41,7 @@ def test_reference_points_keep_their_own_zone(tmp_path: Path) -> None:
     for point, row in zip(read.points, POINTS.values(), strict=True):
         assert point.place[:2] + origin == pytest.approx([row["lon_utm"], row["lat_utm"]], abs=1e-6)
         assert np.abs(point.place).max() < 100
-    assert any("are too large by 0.11%" in words for words in read.said)
+    assert any("are too large by 0.11%" in words for words in read.notes)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from zoneinfo import ZoneInfo
 import pytest
 
 from skope.errors import UserError
-from skope.site.site_file import clock_doubt, parse_site
+from skope.site.site_file import clock_problem, parse_site
 from skope.traffic.recordings import parse_start_time
 
 
@@ -27,10 +27,10 @@ from skope.traffic.recordings import parse_start_time
         ("Europe/Berlin", "9999-12-31T23:59:59", "year"),
     ],
 )
-def test_clock_doubt(zone: str, time: str, said: str) -> None:
-    doubt = clock_doubt(datetime.fromisoformat(time), ZoneInfo(zone))
-    assert said in doubt
-    assert bool(doubt) == bool(said)
+def test_clock_problem(zone: str, time: str, said: str) -> None:
+    problem = clock_problem(datetime.fromisoformat(time), ZoneInfo(zone))
+    assert said in problem
+    assert bool(problem) == bool(said)
 
 
 @pytest.mark.parametrize("time", ["2026-03-29T02:30:00", "2026-10-25T02:30:00"])

@@ -94,7 +94,7 @@ def test_everything_is_read(site: Path) -> None:
     assert (evidence.lengths[0].metres, evidence.verticals[0].metres) == (5.0, 6.0)
     assert evidence.parallels[0].lines.shape == (2, 2, 2)
     # tan(30 deg) = 320 / focal
-    assert math.exp(evidence.beliefs[0].mean[0]) == pytest.approx(320 / math.tan(math.radians(30)))
+    assert math.exp(evidence.priors[0].mean[0]) == pytest.approx(320 / math.tan(math.radians(30)))
     assert read.gates[0].directions == ("to the station", "to the bridge")
     assert read.zones[0].polygon == ((0.0, 0.0), (5.0, 0.0), (5.0, 5.0))
     assert read.lanes[0].width == 3.5
@@ -131,8 +131,8 @@ def test_the_camera_of_a_file_keeps_its_uncertainty(tmp_path: Path) -> None:
     assert read.camera.known.parameters == ("z",)
     assert read.camera.known.covariance == pytest.approx(np.array([[0.0625]]))
     assert read.calibration is not None
-    (belief,) = read.calibration.evidence((640, 480)).beliefs
-    assert belief.mean == pytest.approx([5.0])
+    (prior,) = read.calibration.evidence((640, 480)).priors
+    assert prior.mean == pytest.approx([5.0])
 
 
 @pytest.mark.parametrize(

@@ -48,10 +48,12 @@ def test_a_pixel_is_taken_to_the_road_as_certainly_as_it_is_known(slope: tuple[f
     pixel, _, _ = CAMERA.project(np.array([*place, height]))
     (point,) = ground_points(CAMERA, ground, pixel[None], np.array([[1.5, 1.5]]))
     assert point is not None
-    assert point.place == pytest.approx(place, abs=1e-6)
+    assert point.position == pytest.approx(place, abs=1e-6)
     assert point.height == pytest.approx(height)
     noisy = pixel + np.random.default_rng(0).normal(0, 1.5, (4000, 2))
-    others = [one.place for one in ground_points(CAMERA, ground, noisy, np.full((4000, 2), 1.5)) if one is not None]
+    others = [
+        point.position for point in ground_points(CAMERA, ground, noisy, np.full((4000, 2), 1.5)) if point is not None
+    ]
     assert point.covariance == pytest.approx(np.cov(np.array(others).T), rel=0.12, abs=2e-4)
 
 

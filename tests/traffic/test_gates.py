@@ -16,7 +16,7 @@ from skope.site.gates_zones_lanes import Gate, Lane
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
 from skope.traffic.gate_counts import Count
-from skope.traffic.gates import GateCrossing, gate_crossings, gates_of_other_cameras
+from skope.traffic.gates import GateCrossing, gate_crossings, gates_of_drawn_cameras
 from skope.traffic.lanes import LaneMap, lane_changes
 from skope.traffic.measure import measure
 from skope.traffic.observation import Observation
@@ -279,7 +279,7 @@ def test_a_surveyed_gate_lies_elsewhere_among_the_tracks_of_a_wrong_camera() -> 
     """A camera taken to hang 10% too high puts everything 10% farther away: so must the gate be, under the true one."""
     known = within(CAMERA, 0.1)
     gate = Gate(name="g", line=((40.0, 6.0), (40.0, -6.0)))
-    draws = gates_of_other_cameras((gate,), seen_by(CAMERA, 0.1))
+    draws = gates_of_drawn_cameras((gate,), seen_by(CAMERA, 0.1))
     assert len(draws) == 24
     ratios = np.array([one.line[0][0] / 40.0 for (one,) in draws])
     assert ratios.std() == pytest.approx(0.1, rel=0.35)
@@ -287,8 +287,8 @@ def test_a_surveyed_gate_lies_elsewhere_among_the_tracks_of_a_wrong_camera() -> 
         (ax, ay), (bx, by) = one.line
         assert ay / ax == pytest.approx(6 / 40, abs=1e-6), "along the rays from the camera's foot"
         assert (bx, by) == pytest.approx((ax, -ay), abs=1e-6)
-    assert gates_of_other_cameras((replace(gate, pixels=((1.0, 2.0), (3.0, 4.0))),), seen_by(CAMERA, 0.1)) == []
-    assert gates_of_other_cameras((gate,), seen_by(CAMERA, None)) == []
+    assert gates_of_drawn_cameras((replace(gate, pixels=((1.0, 2.0), (3.0, 4.0))),), seen_by(CAMERA, 0.1)) == []
+    assert gates_of_drawn_cameras((gate,), seen_by(CAMERA, None)) == []
     assert known.covariance.any()
 
 

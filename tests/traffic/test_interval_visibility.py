@@ -11,7 +11,7 @@ import pytest
 from skope.errors import UserError
 from skope.traffic.measure import measure
 from skope.traffic.observation import Observation, checked_visibility, frame_durations_s, read_observation
-from skope.traffic.report_remarks import interval_visibility, sight_lines
+from skope.traffic.report_remarks import interval_visibility, visibility_lines
 from skope.traffic.write_report import write_traffic_report
 from tests.traffic.drives import straight, watched
 from tests.traffic.test_missed_crossings import SITE
@@ -34,13 +34,13 @@ def test_seconds_that_are_dark_flat_or_after_a_move_are_counted_once() -> None:
     both = LOOKS.copy()
     both[100:, 1] = 0.0  # dark too after the move
     assert interval_visibility(replace(seen, visibility_samples=both), 0.0, 60.0).poor_s == pytest.approx(28.0)
-    (line,) = sight_lines(seen)
+    (line,) = visibility_lines(seen)
     assert "5 s dark, 3 s without contrast, 20 s with the camera moved to another view" in line
     # A calibration of the later part: dark from 5 to 10 s is of the other view.
     turned = Observation(times_s=np.arange(80, 600) / 10, camera_moved_s=np.arange(80) / 10, visibility_samples=LOOKS)
     found = interval_visibility(turned, 0.0, 60.0)
     assert (found.camera_moved_s, found.low_brightness_s, found.poor_s) == pytest.approx((8.0, 5.0, 8.0 + 2.0 + 3.0))
-    assert not list(sight_lines(watched(60.0)))
+    assert not list(visibility_lines(watched(60.0)))
 
 
 def test_what_was_not_measured_is_not_said_to_be_good() -> None:

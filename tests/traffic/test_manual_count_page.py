@@ -1,4 +1,4 @@
-"""A count by hand in the page: keys beside a playing video, kept over a reload, and taken back by --manual-count."""
+"""Manual count in the page: keys beside a playing video, kept over a reload, read again by --manual-count."""
 
 import codecs
 import json
@@ -108,44 +108,44 @@ def counted(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def choose(browser: Browser, path: Path) -> None:
     """Choose a file as a person does."""
     root = browser.call("DOM.getDocument")["root"]["nodeId"]
-    node = browser.call("DOM.querySelector", nodeId=root, selector="#hand-file")["nodeId"]
+    node = browser.call("DOM.querySelector", nodeId=root, selector="#manual-file")["nodeId"]
     browser.call("DOM.setFileInputFiles", files=[str(path)], nodeId=node)
 
 
 def note(browser: Browser) -> str:
-    return str(browser.run("document.getElementById('hand-note').textContent"))
+    return str(browser.run("document.getElementById('manual-note').textContent"))
 
 
 def seconds(browser: Browser) -> float:
-    return float(browser.run("document.getElementById('hand-video').currentTime"))
+    return float(browser.run("document.getElementById('manual-video').currentTime"))
 
 
 def opened(browser: Browser, page: Path, clip: Path) -> None:
     browser.open(page.as_uri())
-    browser.until("document.readyState === 'complete' && !!document.getElementById('hand')")
+    browser.until("document.readyState === 'complete' && !!document.getElementById('manual')")
     played(browser, clip)
 
 
 def played(browser: Browser, clip: Path) -> None:
     choose(browser, clip)
-    browser.until("document.getElementById('hand').classList.contains('hand-ready')")
+    browser.until("document.getElementById('manual').classList.contains('manual-ready')")
 
 
 def click(browser: Browser, what: str) -> None:
-    browser.run(f"document.getElementById('hand-{what}').click()")
+    browser.run(f"document.getElementById('manual-{what}').click()")
 
 
 def step_to(browser: Browser, time_s: float) -> None:
     """Frame by frame, with the arrow key."""
     while (at := seconds(browser)) < time_s - 0.01:
         browser.press("ArrowRight")
-        browser.until(f"((v) => v.currentTime > {at} && !v.seeking)(document.getElementById('hand-video'))")
+        browser.until(f"((v) => v.currentTime > {at} && !v.seeking)(document.getElementById('manual-video'))")
 
 
 def rows_of(browser: Browser) -> list[list[str]]:
     """The cells of the results."""
     script = (
-        "[...document.querySelectorAll('#hand-done tbody tr')].map((row) => [...row.cells].map((c) => c.textContent))"
+        "[...document.querySelectorAll('#manual-done tbody tr')].map((row) => [...row.cells].map((c) => c.textContent))"
     )
     return list(browser.run(script))
 
@@ -174,10 +174,10 @@ def test_a_clip_counted_with_keys_is_read_back_by_the_command(
         assert "called" not in note(browser), "a copy in another format has the same name"
         click(browser, "begin")
         visible = (
-            "[...document.querySelectorAll('main > *')].filter((one) => one.offsetParent && one.id !== 'hand').length"
+            "[...document.querySelectorAll('main > *')].filter((one) => one.offsetParent && one.id !== 'manual').length"
         )
         assert browser.run(visible) == 0, "nothing that was counted is seen by who counts"
-        assert browser.run("document.querySelectorAll('#hand-gates path.hand-line').length") == 2
+        assert browser.run("document.querySelectorAll('#manual-gates path.manual-line').length") == 2
         step_to(browser, 1.6)
         browser.press("1")
         step_to(browser, 2.0)
@@ -186,30 +186,30 @@ def test_a_clip_counted_with_keys_is_read_back_by_the_command(
         browser.press("3")  # another one, seen later
         step_to(browser, 2.8)
         browser.press("1")
-        assert browser.run("document.querySelector('#hand-list li:last-child').textContent").startswith("0:00:01.6")
+        assert browser.run("document.querySelector('#manual-list li:last-child').textContent").startswith("0:00:01.6")
         # The work is there again after the page was loaded anew, and goes on where it was.
         browser.open((tmp_path / "r/report.html").as_uri())
         browser.until(
-            "document.readyState === 'complete' && document.getElementById('hand-number').textContent === '3'"
+            "document.readyState === 'complete' && document.getElementById('manual-number').textContent === '3'"
         )
         assert browser.run(visible) == 0
         assert "choose the video file again" in note(browser)
         played(browser, counted / "clip.webm")
-        browser.until("Math.abs(document.getElementById('hand-video').currentTime - 2.8) < 0.1")
-        browser.run("document.querySelectorAll('#hand-list li button')[1].click()")
+        browser.until("Math.abs(document.getElementById('manual-video').currentTime - 2.8) < 0.1")
+        browser.run("document.querySelectorAll('#manual-list li button')[1].click()")
         # Nobody leaves out a part: to jump ahead leads back.
         click(browser, "ahead")
-        browser.until("document.getElementById('hand-video').currentTime < 3")
+        browser.until("document.getElementById('manual-video').currentTime < 3")
         assert "A count must not skip any part" in note(browser)
         # With the mouse, while it plays, at half the speed.
         browser.press("-")
         browser.press("-")
-        assert browser.run("document.getElementById('hand-video').playbackRate") == 0.5
+        assert browser.run("document.getElementById('manual-video').playbackRate") == 0.5
         browser.press(" ")
-        browser.until("document.getElementById('hand-video').currentTime >= 3.1")
-        browser.run("document.querySelector('#hand-keys [data-side=\"1\"]').click()")
+        browser.until("document.getElementById('manual-video').currentTime >= 3.1")
+        browser.run("document.querySelector('#manual-keys [data-side=\"1\"]').click()")
         browser.press(" ")
-        assert browser.run("document.getElementById('hand-video').paused")
+        assert browser.run("document.getElementById('manual-video').paused")
         step_to(browser, 4.3)
         browser.press("1")
         step_to(browser, 5.4)
@@ -229,8 +229,8 @@ def test_a_clip_counted_with_keys_is_read_back_by_the_command(
         click(browser, "begin")
         step_to(browser, seconds(browser) + 1.2)
         click(browser, "finish")
-        assert "overlap in time" in browser.run("document.getElementById('hand-done').textContent")
-        assert browser.run("document.getElementById('hand-download')") is None
+        assert "overlap in time" in browser.run("document.getElementById('manual-done').textContent")
+        assert browser.run("document.getElementById('manual-download')") is None
         assert browser.run("document.title").startswith("Traffic: "), "names are text"
         assert not browser.told("Runtime.exceptionThrown")
         requests = [one["request"]["url"] for one in browser.told("Network.requestWillBeSent")]
@@ -257,58 +257,58 @@ def test_what_cannot_be_counted_is_said(chromium_pages: Pages, counted: Path, tm
     with chromium_pages() as browser:
         browser.size(390, 844, phone=True)
         browser.open(page.as_uri())
-        browser.until("document.readyState === 'complete' && !!document.getElementById('hand')")
+        browser.until("document.readyState === 'complete' && !!document.getElementById('manual')")
         choose(browser, counted / "clip.mp4")
-        browser.until("document.getElementById('hand-note').textContent.includes('cannot play')")
+        browser.until("document.getElementById('manual-note').textContent.includes('cannot play')")
         assert "ffmpeg -i VIDEO" in note(browser)
-        assert not browser.run("document.getElementById('hand').classList.contains('hand-ready')")
+        assert not browser.run("document.getElementById('manual').classList.contains('manual-ready')")
         played(browser, counted / "short.webm")
         assert "lasts 0:00:02, the measured footage 0:00:08" in note(browser)
         played(browser, counted / "clip.webm")
         assert note(browser) == ""
         assert browser.run("document.documentElement.scrollWidth") <= 390
-        browser.run("document.getElementById('hand-video').currentTime = 4")
-        browser.until("!document.getElementById('hand-video').seeking")
+        browser.run("document.getElementById('manual-video').currentTime = 4")
+        browser.until("!document.getElementById('manual-video').seeking")
         click(browser, "begin")
         assert "Nothing was observed at 0:00:04" in note(browser)
-        browser.run("document.getElementById('hand-video').currentTime = 5")
-        browser.until("!document.getElementById('hand-video').seeking")
-        browser.run("document.querySelector('[name=hand-what][value=movements]').click()")
+        browser.run("document.getElementById('manual-video').currentTime = 5")
+        browser.until("!document.getElementById('manual-video').seeking")
+        browser.run("document.querySelector('[name=manual-what][value=movements]').click()")
         click(browser, "begin")
         step_to(browser, 6.6)
         browser.press("1")
-        assert "From " in browser.run("document.getElementById('hand-asked').textContent")
+        assert "From " in browser.run("document.getElementById('manual-asked').textContent")
         browser.press("3")
         step_to(browser, 7.2)
         click(browser, "finish")
         assert rows_of(browser) == [[f"{HOSTILE} (east) to far (east)", "1", "1", "0 (0 %)", "0.0"]]
-        assert browser.run("document.getElementById('hand-download')") is None
+        assert browser.run("document.getElementById('manual-download')") is None
         assert browser.run("document.documentElement.scrollWidth") <= 390
         # A file that begins later than the footage has its times in the footage, also after the page is loaded anew.
-        browser.run("document.getElementById('hand-offset').value = 2.5")
-        browser.run("document.getElementById('hand-video').currentTime = 3")
-        browser.until("!document.getElementById('hand-video').seeking")
-        browser.run("document.querySelector('[name=hand-what][value=crossings]').click()")
+        browser.run("document.getElementById('manual-offset').value = 2.5")
+        browser.run("document.getElementById('manual-video').currentTime = 3")
+        browser.until("!document.getElementById('manual-video').seeking")
+        browser.run("document.querySelector('[name=manual-what][value=crossings]').click()")
         click(browser, "begin")
         step_to(browser, 3.9)
         browser.press("1")
         for k in range(2):
-            told = browser.run("document.getElementById('hand-list').textContent")
+            told = browser.run("document.getElementById('manual-list').textContent")
             assert told.startswith("0:00:06.4"), told
-            assert float(browser.run("document.getElementById('hand-offset').value")) == 2.5
+            assert float(browser.run("document.getElementById('manual-offset').value")) == 2.5
             if not k:
                 browser.open(page.as_uri())
-                browser.until("document.readyState === 'complete' && !document.getElementById('hand').hidden")
+                browser.until("document.readyState === 'complete' && !document.getElementById('manual').hidden")
                 played(browser, counted / "clip.webm")
-                browser.until("Math.abs(document.getElementById('hand-video').currentTime - 3.9) < 0.1")
+                browser.until("Math.abs(document.getElementById('manual-video').currentTime - 3.9) < 0.1")
         # What the page has not kept itself is not believed.
-        key = "'skope-hand-count:' + JSON.parse(document.getElementById('hand-data').textContent).key"
+        key = "'skope-manual-count:' + JSON.parse(document.getElementById('manual-data').textContent).key"
         for text in ("nonsense", '{"done": [{"begin": 1}]}', '{"done": [], "current": {"sides": [99]}}'):
             browser.run(f"localStorage.setItem({key}, {json.dumps(text)})")
             browser.open(page.as_uri())
-            browser.until("document.readyState === 'complete' && !document.getElementById('hand').hidden")
+            browser.until("document.readyState === 'complete' && !document.getElementById('manual').hidden")
             assert rows_of(browser) == []
-            assert not browser.run("document.body.classList.contains('hand-is-counting')")
+            assert not browser.run("document.body.classList.contains('manual-is-counting')")
         assert not browser.told("Runtime.exceptionThrown")
 
 

@@ -2,8 +2,10 @@
 
 import codecs
 import csv
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from skope.files.csv_files import read_csv
@@ -11,6 +13,7 @@ from skope.site.site_file import parse_site
 from skope.traffic.manual_count_file import read_manual_counts
 from skope.traffic.measure import measure
 from skope.traffic.report_tables import report_tables
+from skope.traffic.time_to_collision import HardBraking
 from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.write_report import write_traffic_report
 from tests.traffic.drives import straight, watched
@@ -82,6 +85,18 @@ def test_names_of_a_report_are_read_back(report: TrafficReport, tmp_path: Path) 
     assert ZONE in {row["place"] for row in events}
     assert LANE in {row["lane"] for row in events}
     assert min(float(row["y"]) for row in events) < 0, "negative numbers are numbers"
+
+
+def test_hard_braking_has_columns_of_its_own(report: TrafficReport, tmp_path: Path) -> None:
+    track = report.crossings[0].trajectory
+    cells = {"deceleration": 5.2, "sigma": 0.3, "probability": 0.99}
+    brake = HardBraking(trajectory=track, time_s=2.5, position=np.array([3.0, -1.0]), **cells)
+    write_traffic_report(tmp_path, replace(report, brakings=(brake,)), tracks="t", revision=None)
+    _, events = read_csv(tmp_path / "events.csv")
+    (row,) = (event for event in events if event["event"] == "hard braking")
+    assert (row["x"], row["y"], row["track"], row["remark"]) == ("3.000", "-1.000", str(track.number), "")
+    assert (float(row["deceleration_ms2"]), float(row["deceleration_sigma_ms2"])) == pytest.approx((5.2, 0.3))
+    assert not any(event["deceleration_ms2"] for event in events if event is not row)
 
 
 @pytest.mark.parametrize("gate", [GATES[1], f"'{GATES[1]}"])

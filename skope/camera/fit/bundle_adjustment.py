@@ -72,7 +72,7 @@ ADJUSTMENT_LIMITS: Final = AdjustmentLimits()
 START_ROAD: Final = Ground(height_sigma=0.03, tilt_sigma=math.radians(0.7))
 """Road on which vehicles are placed before they are adjusted."""
 
-MIRROR_PAIRS: Final = sorted({tuple(sorted((i, other))) for i, other in enumerate(keypoints.FLIP)})
+MIRROR_PAIRS: Final = sorted({tuple(sorted((i, mirrored))) for i, mirrored in enumerate(keypoints.FLIP)})
 """Keypoints with their mirror images. A keypoint in the plane of symmetry is its own."""
 PAIR_OF_KEYPOINT: Final = np.array(
     [next(g for g, pair in enumerate(MIRROR_PAIRS) if i in pair) for i in range(keypoints.K)]
@@ -254,11 +254,11 @@ class BundleAdjustment:
             parts = here.without_poses(vehicle, bundle.shape, damping)
             move = self._shared_step(parts, bundle.shared, float(damping[0]))
             ahead = bundle.moved(move, *parts.back(move, vehicle))
-            there = self._linearised(ahead, counted)
-            gain = self._total(here, bundle) - self._total(there, ahead)
+            trial = self._linearised(ahead, counted)
+            gain = self._total(here, bundle) - self._total(trial, ahead)
             if gain > 0:
                 settled = gain < ADJUSTMENT_LIMITS.settled * self._total(here, bundle)
-                bundle, here, damping = ahead, there, damping / 5
+                bundle, here, damping = ahead, trial, damping / 5
                 if settled and step > ADJUSTMENT_LIMITS.visibility_steps:
                     break
             else:
@@ -274,8 +274,8 @@ class BundleAdjustment:
         starts = self._starts(bundle.camera)
         best, least = bundle, np.full(self._views.count, np.inf)
         for kind in range(len(self._shapes.types)):
-            one = self._placed(bundle.shared, starts, np.full(self._views.count, kind))
-            fitted, cost = self._fitted(one)
+            placed = self._placed(bundle.shared, starts, np.full(self._views.count, kind))
+            fitted, cost = self._fitted(placed)
             better = cost < least
             best, least = best.where(better, fitted, self._views.vehicle), np.where(better, cost, least)
         return best
@@ -292,9 +292,9 @@ class BundleAdjustment:
                 here = self._linearised(bundle, counted, by="nothing")
             parts = here.without_poses(vehicle, bundle.shape, damping)
             ahead = bundle.moved(still, *parts.back(still, vehicle))
-            there = self._linearised(ahead, counted, by="nothing")
-            better = there.vehicle_cost < here.vehicle_cost
-            bundle, here = bundle.where(better, ahead, vehicle), here.where(better, there, vehicle)
+            trial = self._linearised(ahead, counted, by="nothing")
+            better = trial.vehicle_cost < here.vehicle_cost
+            bundle, here = bundle.where(better, ahead, vehicle), here.where(better, trial, vehicle)
             damping = np.where(better, damping / 5, damping * 10)
         return bundle, self._whole(here, bundle)[1]
 
@@ -399,7 +399,7 @@ class BundleAdjustment:
 def _offset_sigma() -> Array:
     """Return (G, 3) standard deviations of the keypoints' offsets, metres."""
     sigma = np.full((len(MIRROR_PAIRS), 3), ADJUSTMENT_LIMITS.offset_m)
-    sigma[[one == other for one, other in MIRROR_PAIRS], 1] = ADJUSTMENT_LIMITS.middle_offset_m
+    sigma[[first == second for first, second in MIRROR_PAIRS], 1] = ADJUSTMENT_LIMITS.middle_offset_m
     return sigma
 
 

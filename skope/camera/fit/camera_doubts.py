@@ -16,7 +16,7 @@ from skope.types import Array
 
 
 @dataclass(frozen=True)
-class DoubtLimits:
+class RejectionLimits:
     """Limits beyond which a camera estimated from vehicles is rejected."""
 
     least_agreement: float = 0.92
@@ -48,7 +48,7 @@ class DoubtLimits:
     """Length of the road segments over which distances are compared, metres."""
 
 
-DOUBT_LIMITS: Final = DoubtLimits()
+REJECTION_LIMITS: Final = RejectionLimits()
 
 
 def rejection_reason(estimate: CameraEstimate, lower_edges: Array) -> str | None:
@@ -80,7 +80,7 @@ def sigma_of_ways(estimate: CameraEstimate) -> float:
 def _disagreement(estimate: CameraEstimate) -> str | None:
     solved = estimate.solved
     share = float((solved.squared <= INLIER_VARIANCES)[solved.counted].mean())
-    if share >= DOUBT_LIMITS.least_agreement:
+    if share >= REJECTION_LIMITS.least_agreement:
         return None
     return (
         f"under the most likely one {1 - share:.0%} of their keypoints are impossible: the road is not a plane, the "
@@ -89,7 +89,7 @@ def _disagreement(estimate: CameraEstimate) -> str | None:
 
 
 def _uneven(estimate: CameraEstimate) -> str | None:
-    if estimate.unevenness <= DOUBT_LIMITS.unevenness_sigmas:
+    if estimate.unevenness <= REJECTION_LIMITS.unevenness_sigmas:
         return None
     return "the vehicles do not stand on one plane, or the lens distortion needs more than one coefficient"
 
@@ -98,14 +98,14 @@ def _over_the_horizon(estimate: CameraEstimate, lower_edges: Array) -> str | Non
     rays, valid = estimate.camera.rays(lower_edges)
     up = (rays @ estimate.camera.T_camera_world[:3, 2])[valid]
     share = float((up > 0).mean()) if up.size else 0.0
-    if share <= DOUBT_LIMITS.above_horizon:
+    if share <= REJECTION_LIMITS.above_horizon:
         return None
     return f"under the most likely one {share:.0%} of all vehicles would stand above the horizon"
 
 
 def _unknown(estimate: CameraEstimate) -> str | None:
     ways, focal = sigma_of_ways(estimate), math.sqrt(estimate.covariance[FOCAL, FOCAL])
-    if ways <= DOUBT_LIMITS.distance_sigma and focal <= DOUBT_LIMITS.focal_sigma:
+    if ways <= REJECTION_LIMITS.distance_sigma and focal <= REJECTION_LIMITS.focal_sigma:
         return None
     return (
         f"distances along the road are known within {INTERVAL_SIGMAS * ways:.0%}, the focal length within "
@@ -115,10 +115,10 @@ def _unknown(estimate: CameraEstimate) -> str | None:
 
 def _as_likely(estimate: CameraEstimate) -> str | None:
     rival, best = estimate.rival, estimate.solved.bundle.camera
-    if rival is None or rival.behind > DOUBT_LIMITS.likelihood_gap:
+    if rival is None or rival.behind > REJECTION_LIMITS.likelihood_gap:
         return None
     apart = float(np.median(np.abs(_log_ways(estimate, rival.unknowns) - _log_ways(estimate, best))))
-    if apart <= DOUBT_LIMITS.different_distance:
+    if apart <= REJECTION_LIMITS.different_distance:
         return None
     heights = sorted(math.exp(unknowns[HEIGHT]) for unknowns in (best, rival.unknowns))
     return f"two are about as likely, {heights[0]:.1f} m and {heights[1]:.1f} m over the road"
@@ -132,21 +132,21 @@ def _sideways(estimate: CameraEstimate) -> str | None:
     way = places[order][1:] - places[order][:-1]
     heading = np.exp(1j * bundle.pose[order, 2])
     middle = heading[1:] + heading[:-1]
-    told = same & (np.linalg.norm(way, axis=1) > DOUBT_LIMITS.least_travel_m) & (np.abs(middle) > 1)
-    if told.sum() < DOUBT_LIMITS.fewest_directions:
+    has_direction = same & (np.linalg.norm(way, axis=1) > REJECTION_LIMITS.least_travel_m) & (np.abs(middle) > 1)
+    if has_direction.sum() < REJECTION_LIMITS.fewest_directions:
         return None
-    turn = np.angle((way[told, 0] + 1j * way[told, 1]) * np.conj(middle[told]))
+    turn = np.angle((way[has_direction, 0] + 1j * way[has_direction, 1]) * np.conj(middle[has_direction]))
     away = np.minimum(np.abs(turn), math.pi - np.abs(turn))  # an opposite heading is a front-rear swap, not an error
-    if np.median(away) <= DOUBT_LIMITS.heading_gap_rad:
+    if np.median(away) <= REJECTION_LIMITS.heading_gap_rad:
         return None
     return f"under the most likely one vehicles move at {math.degrees(np.median(away)):.0f} degrees to their headings"
 
 
 def _squeezed(estimate: CameraEstimate) -> str | None:
-    if gain_of_pixel_width(estimate, DOUBT_LIMITS.squeezed_aspect) <= DOUBT_LIMITS.squeezed_gap:
+    if gain_of_pixel_width(estimate, REJECTION_LIMITS.squeezed_aspect) <= REJECTION_LIMITS.squeezed_gap:
         return None
     return (
-        f"the vehicles fit better if a pixel is {DOUBT_LIMITS.squeezed_aspect:.2f} times as wide as high: rescale "
+        f"the vehicles fit better if a pixel is {REJECTION_LIMITS.squeezed_aspect:.2f} times as wide as high: rescale "
         f"the images to the shape that the camera saw"
     )
 
@@ -156,7 +156,9 @@ def _log_ways(estimate: CameraEstimate, unknowns: Array) -> Array:
     bundle, size = estimate.solved.bundle, estimate.views.size
     begin = np.column_stack([bundle.pose[:, :2] * math.exp(bundle.camera[HEIGHT]), np.zeros(len(bundle.pose))])
     heading = bundle.pose[:, 2]
-    end = begin + DOUBT_LIMITS.segment_m * np.column_stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)])
+    end = begin + REJECTION_LIMITS.segment_m * np.column_stack(
+        [np.cos(heading), np.sin(heading), np.zeros_like(heading)]
+    )
     camera = camera_of_unknowns(unknowns, size)
     a, b = (on_road(camera, estimate.camera.project(points)[0]) for points in (begin, end))
     return np.asarray(np.log(np.linalg.norm(b - a, axis=1) + 1e-9))

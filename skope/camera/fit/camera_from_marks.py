@@ -43,7 +43,7 @@ class _Marked:
     evidence: Evidence
     when: datetime
     world: Mapping[str, Any] | None
-    said: Sequence[str]
+    notes: Sequence[str]
 
 
 def camera_from_marks(path: Path, size: str | None, out: Path) -> Iterator[str]:
@@ -75,7 +75,8 @@ def camera_from_marks(path: Path, size: str | None, out: Path) -> Iterator[str]:
         "outliers": list(found.outliers),
         "warnings": list(found.warnings),
         "residuals": [
-            {"kind": one.kind, "name": one.name, "value": one.value, "sigmas": one.sigmas} for one in found.residuals
+            {"kind": residual.kind, "name": residual.name, "value": residual.value, "sigmas": residual.sigmas}
+            for residual in found.residuals
         ],
         **({"marked_points": points} if points else {}),
     }
@@ -83,14 +84,14 @@ def camera_from_marks(path: Path, size: str | None, out: Path) -> Iterator[str]:
     if rms is not None:
         yield f"{counted(len(points), 'point')} {rms:.2f} px off (root mean square)"
     yield from _figures(found)
-    yield place_errors(found)
+    yield position_errors(found)
     yield from (_point_line(row) for row in points)
     yield from (
-        f"{one.kind} {one.name}: {one.value:.2f} {_RESIDUAL_UNITS[one.kind]} off"
-        for one in found.residuals
-        if one.kind in _RESIDUAL_UNITS
+        f"{residual.kind} {residual.name}: {residual.value:.2f} {_RESIDUAL_UNITS[residual.kind]} off"
+        for residual in found.residuals
+        if residual.kind in _RESIDUAL_UNITS
     )
-    yield from (f"warning: {words}" for words in (*marked.said, *found.warnings))
+    yield from (f"warning: {words}" for words in (*marked.notes, *found.warnings))
 
 
 def evidence_of(path: Path, size: str | None) -> Evidence:
@@ -115,12 +116,12 @@ def _read(path: Path, size: str | None) -> _Marked:
             evidence=evidence,
             when=site.calibration.when or _saved(path),
             world=site.world,
-            said=tuple(f"{path.name}: {key}: unknown; not used" for key in site.unknown),
+            notes=tuple(f"{path.name}: {key}: unknown; not used" for key in site.unknown),
         )
     if shape is None:
         raise UserError("--size: needed with --points")
     read = read_points(path)
-    return _Marked(evidence=Evidence(shape, points=read.points), when=_saved(path), world=read.world, said=read.said)
+    return _Marked(evidence=Evidence(shape, points=read.points), when=_saved(path), world=read.world, notes=read.notes)
 
 
 def image_size(text: str) -> tuple[int, int]:
@@ -144,11 +145,11 @@ def _from(path: Path, evidence: Evidence) -> str:
         (len(evidence.parallels), "group of parallel lines"),
         (len(evidence.verticals), "vertical"),
     ]
-    told = [
+    parts = [
         f"{n} groups of parallel lines" if "group" in kind and n > 1 else counted(n, kind) for n, kind in kinds if n
     ]
-    told += [belief.name for belief in evidence.beliefs]
-    return f"{path.name}: {', '.join(told)}"
+    parts += [prior.name for prior in evidence.priors]
+    return f"{path.name}: {', '.join(parts)}"
 
 
 def _points(evidence: Evidence, found: SiteCalibration, left_out: Mapping[str, LeftOutError]) -> list[dict[str, Any]]:
@@ -187,10 +188,10 @@ def _figures(found: SiteCalibration) -> Iterator[str]:
     )
 
 
-def place_errors(found: UncertainCamera) -> str:
+def position_errors(found: UncertainCamera) -> str:
     """Return a sentence on the largest position error on the road at several distances from the camera."""
     yaw, foot = found.camera.angles[0], found.camera.position[:2]
-    told, farthest = [], ""
+    parts, farthest = [], ""
     for distance in MARK_REPORT.distances_m:
         pixels = _seen_at(found, yaw, foot, distance)
         if not len(pixels):
@@ -199,10 +200,10 @@ def place_errors(found: UncertainCamera) -> str:
         if error > MARK_REPORT.useless_share * distance:
             farthest = f"; from {distance:g} m on the error exceeds a quarter of the distance"
             break
-        told.append(f"{error:.2g} m at {distance:g} m")
-    if not told:
+        parts.append(f"{error:.2g} m at {distance:g} m")
+    if not parts:
         return f"positions on the road are not known (90%){farthest}"
-    return f"position errors on the road (90%): {', '.join(told)} from the camera{farthest}"
+    return f"position errors on the road (90%): {', '.join(parts)} from the camera{farthest}"
 
 
 def _seen_at(found: UncertainCamera, yaw: float, foot: Array, distance: float) -> Array:
@@ -214,8 +215,8 @@ def _seen_at(found: UncertainCamera, yaw: float, foot: Array, distance: float) -
 
 
 def _point_line(row: Mapping[str, Any]) -> str:
-    (u, v), place = row["pixel"], ", ".join(f"{value:g}" for value in row["place"])
-    line = f"point {row['name']}: pixel ({u:g}, {v:g}), world ({place}): {row['off_px']:.2f} px off"
+    (u, v), position = row["pixel"], ", ".join(f"{value:g}" for value in row["place"])
+    line = f"point {row['name']}: pixel ({u:g}, {v:g}), world ({position}): {row['off_px']:.2f} px off"
     if "left_out" in row:
         error = row["left_out"]
         line += f"; located by the others {error['error_m']:.2f} m off ({error['stated_m']:.2f} m stated)"

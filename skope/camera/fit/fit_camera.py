@@ -137,14 +137,14 @@ def fit_camera_to_vehicles(views: VehicleViews, known: Known | None = None) -> C
     begun = [adjustment.solve(adjustment.begun(at), CAMERA_SEARCH.first_steps) for at in _starts(views, known)]
     begun.sort(key=lambda solved: solved.cost)
     fits = [adjustment.refined(solved.bundle) for solved in _distinct(begun)[: CAMERA_SEARCH.refined]]
-    best, *others = _distinct(sorted(fits, key=lambda solved: solved.cost))
+    best, *rest = _distinct(sorted(fits, key=lambda solved: solved.cost))
     return CameraEstimate(
         camera=camera_of_unknowns(best.bundle.camera, views.size),
         solved=best,
         views=views,
         covariance=_widened(best.covariance()),
         unevenness=adjustment.unevenness(best),
-        rival=Rival(others[0].bundle.camera, others[0].cost - best.cost) if others else None,
+        rival=Rival(rest[0].bundle.camera, rest[0].cost - best.cost) if rest else None,
         known=known,
     )
 
@@ -197,7 +197,7 @@ def _starts(views: VehicleViews, known: Known) -> list[Array]:
     for at in best(
         best(grid, CAMERA_SEARCH.judged_views[0])[: CAMERA_SEARCH.judged_again], CAMERA_SEARCH.judged_views[1]
     ):
-        if all(np.abs((at - other) * [1, 2, 0, 1, 0]).sum() > CAMERA_SEARCH.start_distance for other in out):
+        if all(np.abs((at - kept) * [1, 2, 0, 1, 0]).sum() > CAMERA_SEARCH.start_distance for kept in out):
             out.append(at)
         if len(out) == CAMERA_SEARCH.starts:
             break
@@ -212,7 +212,9 @@ def capped(cost: Array) -> Array:
 def _distinct(solved: list[Solved]) -> list[Solved]:
     """Return the results without later ones for the same camera."""
     out: list[Solved] = []
-    for one in solved:
-        if all(np.abs(one.bundle.camera - other.bundle.camera).max() > CAMERA_SEARCH.same_unknowns for other in out):
-            out.append(one)
+    for candidate in solved:
+        if all(
+            np.abs(candidate.bundle.camera - kept.bundle.camera).max() > CAMERA_SEARCH.same_unknowns for kept in out
+        ):
+            out.append(candidate)
     return out

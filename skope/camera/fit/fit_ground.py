@@ -155,8 +155,8 @@ def _fit(scene: Scene, asked: str, *, score: float, noise: float, sigma_px: floa
     ).views
     begun = _through_free_fits(views, camera)
     if asked == "auto":
-        level, other = (_adjusted(views, camera, ground, free=False).cost for ground in (scene.ground, begun))
-        if level - other < GROUND_SEARCH.clear_gap * len(views.found):
+        level, fitted = (_adjusted(views, camera, ground, free=False).cost for ground in (scene.ground, begun))
+        if level - fitted < GROUND_SEARCH.clear_gap * len(views.found):
             return None
     return fit_ground(views, camera, begun)
 

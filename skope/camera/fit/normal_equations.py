@@ -86,9 +86,13 @@ class Linearised:
         """
         count, m = len(shape), self.numbers
         pose, rest = slice(0, 3), slice(3, None)
-        own = self.normal[:, pose, pose]
-        own = own + np.einsum("b,bii->bi", damping[vehicle], own)[:, :, None] * np.eye(3) + 1e-9 * np.eye(3)
-        inverse = _inverses(own)
+        pose_normal = self.normal[:, pose, pose]
+        pose_normal = (
+            pose_normal
+            + np.einsum("b,bii->bi", damping[vehicle], pose_normal)[:, :, None] * np.eye(3)
+            + 1e-9 * np.eye(3)
+        )
+        inverse = _inverses(pose_normal)
         pose_back = inverse @ self.normal[:, pose, rest]
         pose_alone = (inverse @ self.gradient[:, pose, None])[..., 0]
         across = np.swapaxes(self.normal[:, pose, rest], -1, -2)
@@ -128,9 +132,9 @@ class Parts:
 
     def back(self, shared: Array, vehicle: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return the steps of shapes (N, M) and poses (B, 3) for a step (U,) of the shared unknowns."""
-        own = shared[: self.shape_back.shape[-1]]
-        shape = -(self.shape_alone + self.shape_back @ own)
-        rest = np.concatenate([shape[vehicle], np.broadcast_to(own, (len(vehicle), len(own)))], axis=1)
+        shared_step = shared[: self.shape_back.shape[-1]]
+        shape = -(self.shape_alone + self.shape_back @ shared_step)
+        rest = np.concatenate([shape[vehicle], np.broadcast_to(shared_step, (len(vehicle), len(shared_step)))], axis=1)
         pose = -(self.pose_alone + np.einsum("bpi,bi->bp", self.pose_back, rest))
         return shape, np.clip(pose, -_POSE_STRIDE, _POSE_STRIDE)
 

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from skope.camera.calibrate import calibrate
 from skope.camera.calibration_files import read_uncertain_camera
 from skope.camera.evidence import Evidence
-from skope.camera.fit.camera_from_marks import evidence_of, place_errors
+from skope.camera.fit.camera_from_marks import evidence_of, position_errors
 from skope.camera.fit.write_camera import write_camera
 from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera
@@ -109,10 +109,10 @@ def refit(
         found = turned_known(known, registered)
     source = points or camera
     assert source is not None
-    told = f"{source.name}, turned as {Path(_split(after)[0]).name} shows"
+    origin = f"{source.name}, turned as {Path(_split(after)[0]).name} shows"
     extra_fields = {
         "covariance": found.covariance_dict(),
-        "calibrated": {"when": _saved(after), "from": told},
+        "calibrated": {"when": _saved(after), "from": origin},
         "refit": {
             "shift_px": [registered.motion.x, registered.motion.y],
             "turn_deg": math.degrees(registered.motion.turn),
@@ -126,7 +126,7 @@ def refit(
         f"{math.degrees(registered.motion.turn):.2f} deg: {counted(registered.corners, 'corner')} "
         f"{registered.off_px:.2f} px off (root mean square)"
     )
-    yield place_errors(found)
+    yield position_errors(found)
 
 
 def registration(before: Pixels, after: Pixels, known: UncertainCamera, name: str) -> Registration:
@@ -173,10 +173,10 @@ def _near_road(old: Camera, turned: Camera, corners: FollowedCorners, within_px:
     places = intersect_ground(old, corners.all_before)
     away = np.linalg.norm(places - old.position, axis=1)
     seen, _, valid = turned.project(np.where(np.isfinite(places), places, old.position))
-    there = np.flatnonzero(valid & turned.inside(seen) & (away < REFIT_LIMITS.near_m))
-    if len(there) < REFIT_LIMITS.fewest_matches:
+    visible = np.flatnonzero(valid & turned.inside(seen) & (away < REFIT_LIMITS.near_m))
+    if len(visible) < REFIT_LIMITS.fewest_matches:
         raise UserError(f"{name}: too few corners on the nearby road to distinguish a turn of the camera from a move")
-    nearer = there[np.argsort(away[there])][: max(REFIT_LIMITS.fewest_matches, len(there) // 2)]
+    nearer = visible[np.argsort(away[visible])][: max(REFIT_LIMITS.fewest_matches, len(visible) // 2)]
     apart = np.linalg.norm(corners.all_before[nearer, None] - corners.before, axis=-1)
     match = apart.argmin(axis=1)
     good = (apart.min(axis=1) < 0.01) & (np.linalg.norm(corners.after[match] - seen[nearer], axis=1) < within_px)
@@ -210,8 +210,8 @@ def _by_the_lens(known: UncertainCamera, turned: Camera, rays: Array) -> float:
     for name in ("focal", "k1"):
         if name in known.parameters:
             k = known.parameters.index(name)
-            other = moved_camera(known.camera, {name: math.sqrt(known.covariance[k, k])})
-            change = _shifts(other, T, pixels) - shifts
+            changed = moved_camera(known.camera, {name: math.sqrt(known.covariance[k, k])})
+            change = _shifts(changed, T, pixels) - shifts
             total += float(np.nanvar(change, axis=0).mean())
     return math.sqrt(total)
 
@@ -315,10 +315,10 @@ def _frame(source: str, *, at_rest: bool) -> Pixels:
     if not frames:
         raise UserError(f"{source}: {'; '.join(footage.skipped) or 'has no such frame'}")
     motions = {number: watch.taken(number) for number in frames}
-    measured = {number: one for number, one in motions.items() if one is not None}
+    measured = {number: motion for number, motion in motions.items() if motion is not None}
     if not measured or len(frames) == 1:
         return next(iter(frames.values()))
-    places = np.array([(one.x, one.y) for one in measured.values()])
+    places = np.array([(motion.x, motion.y) for motion in measured.values()])
     away = np.linalg.norm(places - np.median(places, axis=0), axis=1)
     return frames[list(measured)[int(away.argmin())]]
 

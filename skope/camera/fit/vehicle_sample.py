@@ -116,12 +116,14 @@ def sample_vehicles(
     spread = {number: _spread_out(candidates) for number, candidates in of_vehicle.items()}
     order = np.random.default_rng(0).permutation(list(spread)).tolist()
     chosen = sorted(order, key=lambda number: len(spread[number]) == 1)[:count]
-    place = {(one.image, one.row): k for k, number in enumerate(chosen) for one in spread[number]}
+    vehicle_of = {
+        (chosen_view.image, chosen_view.row): k for k, number in enumerate(chosen) for chosen_view in spread[number]
+    }
     taken = [
-        (view.found[row], float(view.sigma_px[row]), place[i, row])
+        (view.found[row], float(view.sigma_px[row]), vehicle_of[i, row])
         for i, (view, _) in enumerate(numbered_views())
         for row in range(len(view.found))
-        if (i, row) in place
+        if (i, row) in vehicle_of
     ]
     found, sigma, vehicle = zip(*taken, strict=True)
     views = VehicleViews(np.array(found), np.array(sigma), np.array(vehicle, dtype=np.intp), size, fleet_shapes())
@@ -154,11 +156,11 @@ def _shows_enough(view: View) -> Mask:
 
 def _spread_out(candidates: Sequence[_Candidate]) -> list[_Candidate]:
     """Return views evenly spaced along a vehicle's path in the image; one view of a stationary vehicle."""
-    middles = np.array([one.middle for one in candidates])
+    middles = np.array([candidate.middle for candidate in candidates])
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middles, axis=0), axis=1))])
     if np.ptp(middles, axis=0).max() < SAMPLE_LIMITS.view_distance * candidates[0].edge:  # detected boxes jitter
         return [candidates[len(candidates) // 2]]
-    edge = float(np.median([one.edge for one in candidates]))
+    edge = float(np.median([candidate.edge for candidate in candidates]))
     count = int(min(SAMPLE_LIMITS.most_views, 1 + way[-1] // (SAMPLE_LIMITS.view_distance * edge)))
     wanted = np.linspace(0, way[-1], count) if count > 1 else np.array([way[-1] / 2])
     return [candidates[i] for i in sorted({int(np.abs(way - w).argmin()) for w in wanted})]

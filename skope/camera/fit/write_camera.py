@@ -112,7 +112,7 @@ class VehicleCamera(NamedTuple):
     """Camera that was estimated from vehicles."""
 
     estimate: CameraEstimate
-    told: str
+    summary: str
     """Number of vehicles and views, in words."""
     numbered: bool
     """Whether the views of one vehicle are known to be the same vehicle."""
@@ -150,13 +150,13 @@ def camera_of_vehicles(
         )
     drawn = sample_vehicles(scene, count, score=score, noise=noise, sigma_px=sigma_px)
     fit = fit_camera.fit_camera_to_vehicles(drawn.views, known_of(height, fov_deg, drawn.views.size[0]))
-    who = f"{counted(fit.vehicles, 'vehicle')} in {counted(len(drawn.views.found), 'view')}"
+    sample_text = f"{counted(fit.vehicles, 'vehicle')} in {counted(len(drawn.views.found), 'view')}"
     if reason := rejection_reason(fit, drawn.lower_edges):
         raise UserError(
-            f"{scene.file.name}: no camera can be calibrated from {who}: {reason}. Points marked on the road give one "
-            "(--points)"
+            f"{scene.file.name}: no camera can be calibrated from {sample_text}: {reason}. Points marked on the road "
+            "give one (--points)"
         )
-    return VehicleCamera(fit, f"{scene.file.name}: {who}", drawn.numbered)
+    return VehicleCamera(fit, f"{scene.file.name}: {sample_text}", drawn.numbered)
 
 
 def from_vehicles(
@@ -187,7 +187,7 @@ def from_vehicles(
     """
     if scene.left_out:
         yield scene.left_out
-    fit, told, numbered = camera_of_vehicles(
+    fit, summary, numbered = camera_of_vehicles(
         scene, count, score=score, noise=noise, sigma_px=sigma_px, height=height, fov_deg=fov_deg
     )
     _, pitch, _ = fit.camera.angles
@@ -204,10 +204,10 @@ def from_vehicles(
         "vehicles": fit.vehicles,
         "sigma": sigma,
         "covariance": {"of": list(UNKNOWN_NAMES), "matrix": fit.covariance.tolist()},
-        "calibrated": {"from": told, **_part_of(scene)},
+        "calibrated": {"from": summary, **_part_of(scene)},
     }
     yield from write_camera(out, fit.camera, extra_fields)
-    yield told if numbered else f"{told}; the file has no track numbers, so each view counts as one vehicle"
+    yield summary if numbered else f"{summary}; the file has no track numbers, so each view counts as one vehicle"
     yield from camera_figures(
         focal=(fit.camera.K[0, 0], fit.sigma_focal),
         pitch=(pitch, fit.sigma_pitch),
@@ -281,7 +281,7 @@ def known_length(text: str) -> KnownLength:
     return KnownLength(np.array(ends).reshape(2, 2), metres)
 
 
-def doubt(name: Path | str, distance_sigma: float) -> str:
+def scale_error_line(name: Path | str, distance_sigma: float) -> str:
     """Return a sentence on the common error of all distances under a camera."""
     return (
         f"{name}: all distances and speeds may be off by {INTERVAL_SIGMAS * distance_sigma:.0%}, in one direction (90%)"

@@ -36,18 +36,18 @@ class CameraMotion:
 
     frames: Mapping[int, ImageMotion]
     """Displacement of the image from rest, by `Image.id`; frames without a known displacement are missing."""
-    sway: tuple[float, float, float]
+    shake_sigmas: tuple[float, float, float]
     """Standard deviations of x and y (pixels) and of the turn (radians) over the footage."""
 
     @property
     def median_px(self) -> float:
         """Median distance of images from rest, pixels."""
-        return float(np.median([math.hypot(one.x, one.y) for one in self.frames.values()]))
+        return float(np.median([math.hypot(motion.x, motion.y) for motion in self.frames.values()]))
 
     @property
     def largest_px(self) -> float:
         """Largest distance of images from rest, pixels."""
-        return max(math.hypot(one.x, one.y) for one in self.frames.values())
+        return max(math.hypot(motion.x, motion.y) for motion in self.frames.values())
 
     def __str__(self) -> str:
         return (
@@ -88,23 +88,23 @@ class CameraMotion:
     def rest_in(self, camera: Camera, image_id: int) -> UncertainCamera:
         """Return the remaining uncertainty of the camera in a frame, independent from frame to frame."""
         motion = self.frames.get(image_id)
-        sigmas = self.sway if motion is None else (motion.sigma_px, motion.sigma_px, motion.sigma_turn)
+        sigmas = self.shake_sigmas if motion is None else (motion.sigma_px, motion.sigma_px, motion.sigma_turn)
         return UncertainCamera(self.camera_in(camera, image_id), TURN_ANGLES, covariance_of_turns(camera, sigmas))
 
     def at_rest(self, camera: Camera, known: UncertainCamera | None) -> UncertainCamera:
         """Return the uncertainty of the camera at rest, which was calibrated at an unknown phase of its shake."""
         known = known or UncertainCamera(camera, (), np.zeros((0, 0)))
-        return known.of_camera(camera).widened({TURN_ANGLES: covariance_of_turns(camera, self.sway)})
+        return known.of_camera(camera).widened({TURN_ANGLES: covariance_of_turns(camera, self.shake_sigmas)})
 
     def to_dict(self) -> dict[str, Any]:
         """Return the shake as `from_dict` reads it: pixels to 0.0001, angles to 1e-7 radians."""
         rows = [
-            [number, *(round(v, 4) for v in (one.x, one.y)), round(one.turn, 7)]
-            + [round(one.sigma_px, 4), round(one.sigma_turn, 7)]
-            for number, one in self.frames.items()
+            [number, *(round(v, 4) for v in (motion.x, motion.y)), round(motion.turn, 7)]
+            + [round(motion.sigma_px, 4), round(motion.sigma_turn, 7)]
+            for number, motion in self.frames.items()
         ]
         return {
-            "sway": [round(v, 7) for v in self.sway],
+            "sway": [round(v, 7) for v in self.shake_sigmas],
             "median_px": round(self.median_px, 4),
             "columns": ["image_id", "x_px", "y_px", "turn", "sigma_px", "sigma_turn"],
             "frames": rows,
@@ -130,8 +130,8 @@ class CameraMotion:
 
 def motion_of_info(name: str, info: Mapping[str, Any]) -> CameraMotion | None:
     """Read the shake of the frames' camera from their `info`; None: it was still. Raises UserError."""
-    told = info.get(MOTION_KEY)
-    return CameraMotion.from_dict(name, told) if isinstance(told, Mapping) else None
+    value = info.get(MOTION_KEY)
+    return CameraMotion.from_dict(name, value) if isinstance(value, Mapping) else None
 
 
 def turned_camera(camera: Camera, x: float, y: float, turn: float) -> Camera:

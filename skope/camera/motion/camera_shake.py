@@ -252,7 +252,10 @@ class CameraShakeRecord:
     def _values(self) -> Array:
         """(N, 3) x, y, turn; NaN if unknown."""
         nothing = (np.nan,) * 3
-        rows = [nothing if one is None else (one.x, one.y, one.turn) for one in self.motions]
+        rows = [
+            nothing if frame_motion is None else (frame_motion.x, frame_motion.y, frame_motion.turn)
+            for frame_motion in self.motions
+        ]
         return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
     def _unmeasured(self, time_s: float) -> bool:
@@ -268,7 +271,10 @@ class CameraShakeRecord:
         known = np.isfinite(self._values[:, 0])
         half = self.width / 2
         measured = [motion for motion in self.motions if motion is not None]
-        rows = [(one.x, one.y, half * one.turn, half * one.growth) for one in measured]
+        rows = [
+            (frame_motion.x, frame_motion.y, half * frame_motion.turn, half * frame_motion.growth)
+            for frame_motion in measured
+        ]
         places, times = np.array(rows, dtype=np.float64).reshape(-1, 4), self.times_s[known]
         if not len(times):
             return []
@@ -325,4 +331,6 @@ def record_of(images: Iterable[Image], motions: Iterable[ImageMotion | None], wi
         if image.time_s is not None
     ]
     seconds: NDArray[np.float64] = np.array([time_s for _, time_s, _ in timed], dtype=np.float64)
-    return CameraShakeRecord(tuple(number for number, _, _ in timed), seconds, tuple(one for _, _, one in timed), width)
+    return CameraShakeRecord(
+        tuple(number for number, _, _ in timed), seconds, tuple(frame_motion for _, _, frame_motion in timed), width
+    )

@@ -157,7 +157,7 @@ def _movement(footage: Footage, time_s: float, old: Pixels, new: Pixels) -> tupl
     for image, pixels in footage.frames():
         picture = SmallPicture.of(pixels)
         if picture.size == references[0].size and image.time_s is not None:
-            from_old, from_new = (_distance(one.motion(picture), picture.size[0]) for one in references)
+            from_old, from_new = (_distance(reference.motion(picture), picture.size[0]) for reference in references)
             times.append(image.time_s)
             in_old.append(_is_at_rest(from_old, from_new))
             in_new.append(_is_at_rest(from_new, from_old))
@@ -178,8 +178,8 @@ def _distance(motion: ImageMotion | None, width: int) -> float | None:
     return float(np.hypot(motion.x, motion.y)) / width + max(abs(motion.turn), abs(motion.growth)) / 2
 
 
-def _is_at_rest(distance: float | None, to_other: float | None) -> bool | None:
+def _is_at_rest(distance: float | None, other_view_distance: float | None) -> bool | None:
     """Return whether a frame is at rest in a view, from its distances to this and to another view; None: unknown."""
     if distance is None:
         return None
-    return distance <= SHIFT_LIMITS.moved_share and (to_other is None or distance <= to_other)
+    return distance <= SHIFT_LIMITS.moved_share and (other_view_distance is None or distance <= other_view_distance)

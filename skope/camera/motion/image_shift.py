@@ -95,41 +95,41 @@ def edges(grey: Pixels) -> Array | None:
     return np.asarray((root - root.mean()) / root.std(), dtype=np.float64)
 
 
-def coarse_shift(one: Array, other: Array) -> tuple[float, float] | None:
+def coarse_shift(first: Array, second: Array) -> tuple[float, float] | None:
     """Return the shift of the edges between two images, as shares of the width; None if they show different views."""
-    height, width = one.shape
-    if one.shape != other.shape:
+    height, width = first.shape
+    if first.shape != second.shape:
         return None
     window = np.outer(np.hanning(height), np.hanning(width))
     # OpenCV multiplies its inputs by the window in place.
-    (x, y), _ = cv2.phaseCorrelate(one.copy(), other.copy(), window)
+    (x, y), _ = cv2.phaseCorrelate(first.copy(), second.copy(), window)
     back = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y]])
-    aligned: Any = cv2.warpAffine(other, back, (width, height), flags=cv2.INTER_LINEAR)
-    here, there = (_agreement(one, picture) for picture in (other, aligned))
-    if max(here, there) < SHIFT_LIMITS.same_share:
+    aligned: Any = cv2.warpAffine(second, back, (width, height), flags=cv2.INTER_LINEAR)
+    unmoved, moved = (_agreement(first, picture) for picture in (second, aligned))
+    if max(unmoved, moved) < SHIFT_LIMITS.same_share:
         return None
-    return (0.0, 0.0) if here >= SHIFT_LIMITS.unmoved_ratio * there else (x / width, y / width)
+    return (0.0, 0.0) if unmoved >= SHIFT_LIMITS.unmoved_ratio * moved else (x / width, y / width)
 
 
-def _agreement(one: Array, other: Array) -> float:
+def _agreement(first: Array, second: Array) -> float:
     """Return the share of the non-empty blocks of two images in which edges correlate."""
     firsts = [
         [part[0] for part in np.array_split(np.arange(size), min(parts, size))]
-        for size, parts in zip(one.shape, SHIFT_LIMITS.blocks, strict=True)
+        for size, parts in zip(first.shape, SHIFT_LIMITS.blocks, strict=True)
     ]
-    pixels = _block_sums(np.ones_like(one), firsts)
+    pixels = _block_sums(np.ones_like(first), firsts)
 
     def means(picture: Array) -> Array:
         """Return the mean of each block."""
         return np.asarray(_block_sums(picture, firsts) / pixels)
 
-    a, b = means(one), means(other)
-    a_variance, b_variance = means(one * one) - a * a, means(other * other) - b * b
+    a, b = means(first), means(second)
+    a_variance, b_variance = means(first * first) - a * a, means(second * second) - b * b
     shows = np.maximum(a_variance, b_variance) >= SHIFT_LIMITS.bare_ratio**2
     if not shows.any():
         return 0.0
     deviations = np.sqrt(np.clip(a_variance * b_variance, 1e-18, None))
-    return float((means(one * other) - a * b >= SHIFT_LIMITS.same_correlation * deviations)[shows].mean())
+    return float((means(first * second) - a * b >= SHIFT_LIMITS.same_correlation * deviations)[shows].mean())
 
 
 def _block_sums(picture: Array, firsts: list[list[int]]) -> Array:
@@ -232,8 +232,10 @@ class ReferencePicture:
     def _fit(self, picture: SmallPicture) -> "_Fit | None":
         if picture.size != self.size:
             raise ValueError(f"expected a picture of {self.size}, got {picture.size}")
-        there = edges(picture.coarse)
-        shift = coarse_shift(self._edges, there) if self._edges is not None and there is not None else None
+        picture_edges = edges(picture.coarse)
+        shift = (
+            coarse_shift(self._edges, picture_edges) if self._edges is not None and picture_edges is not None else None
+        )
         if shift is None or len(self._corners) < SHIFT_LIMITS.fewest_corners:
             return None
         even = _evened(picture.fine)
@@ -284,11 +286,11 @@ def _evened(grey: Pixels) -> Pixels:
 
 
 def _follow(
-    one: Pixels, other: Pixels, points: NDArray[np.float32], begin: NDArray[np.float32]
+    first: Pixels, second: Pixels, points: NDArray[np.float32], begin: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     found, status, _ = cv2.calcOpticalFlowPyrLK(
-        one,
-        other,
+        first,
+        second,
         np.ascontiguousarray(points, dtype=np.float32),
         np.ascontiguousarray(begin, dtype=np.float32).copy(),
         winSize=(SHIFT_LIMITS.window_px, SHIFT_LIMITS.window_px),
@@ -310,10 +312,10 @@ def _fitted(before: Array, after: Array, shape: tuple[int, ...], least: int) -> 
     bend = float(np.hypot(*middle)) + 1e-3
     weight, spread = np.exp(-np.linalg.norm(way - middle, axis=1)), 1.0
     for _ in range(SHIFT_LIMITS.fit_rounds):
-        told = np.repeat(weight, 2)[:, None] * design
+        weighted = np.repeat(weight, 2)[:, None] * design
         # The prior of the bend has the weight of one corner with the same uncertainty.
-        normal = design.T @ told + np.diag([0.0] * 4 + [(spread / bend) ** 2] * 6)
-        values = np.linalg.solve(normal + 1e-9 * np.eye(len(normal)), told.T @ way.ravel())
+        normal = design.T @ weighted + np.diag([0.0] * 4 + [(spread / bend) ** 2] * 6)
+        values = np.linalg.solve(normal + 1e-9 * np.eye(len(normal)), weighted.T @ way.ravel())
         off = np.linalg.norm(way - (design @ values).reshape(-1, 2), axis=1)
         spread = max(float(np.median(off)) / 1.1774, 0.01)  # the median of a Rayleigh distribution
         weight = np.clip(1 - (off / (5 * spread)) ** 2, 0, None) ** 2
@@ -338,7 +340,7 @@ def _fitted(before: Array, after: Array, shape: tuple[int, ...], least: int) -> 
 
 def _design(x: Array, y: Array) -> Array:
     """Return (2N, 10) derivatives of displacements by shift, turn, growth and bend, in units of half a width."""
-    one, none = np.ones_like(x), np.zeros_like(x)
-    across = [one, none, -y, x, x * x, y * y, x * y, none, none, none]
-    down = [none, one, x, y, none, none, none, x * x, y * y, x * y]
+    ones, zeros = np.ones_like(x), np.zeros_like(x)
+    across = [ones, zeros, -y, x, x * x, y * y, x * y, zeros, zeros, zeros]
+    down = [zeros, ones, x, y, zeros, zeros, zeros, x * x, y * y, x * y]
     return np.stack([np.column_stack(across), np.column_stack(down)], axis=1).reshape(-1, len(across))

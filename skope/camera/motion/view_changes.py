@@ -61,8 +61,8 @@ class ViewChange:
         }
 
     def __str__(self) -> str:
-        what = "cuts to another view" if self.cut else f"moves by {self.shift:.1%} of its width"
-        return f"the view {what} at {self.time_s:.1f} s{self._followed}"
+        change = "cuts to another view" if self.cut else f"moves by {self.shift:.1%} of its width"
+        return f"the view {change} at {self.time_s:.1f} s{self._followed}"
 
     @property
     def _followed(self) -> str:
@@ -130,8 +130,8 @@ def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] =
     return out
 
 
-def _shows(one: Array, other: Array) -> bool:
-    moved = _moved(one, other)
+def _shows(first: Array, second: Array) -> bool:
+    moved = _moved(first, second)
     return moved is not None and moved <= SHIFT_LIMITS.moved_share
 
 
@@ -146,7 +146,7 @@ def unpacked_look(packed: str) -> Pixels:
     return np.asarray(small, dtype=np.uint8)
 
 
-def _moved(one: Array, other: Array) -> float | None:
+def _moved(first: Array, second: Array) -> float | None:
     """Return the displacement of a view, as a share of the image's width; None if the two show different views."""
-    shift = coarse_shift(one, other)
+    shift = coarse_shift(first, second)
     return None if shift is None else float(np.hypot(*shift))

@@ -114,16 +114,18 @@ def register(before: Pixels, after: Pixels) -> ViewHomography | None:
     corners = ReferencePicture(first).followed(SmallPicture.of(warped, REGISTRATION_LIMITS.image_width_px))
     if corners is None:
         return None
-    there = transformed(rough, corners.after)
-    kept = is_inside(there, size)  # the warp has no data outside the second view
-    return _checked(corners.before[kept], there[kept], size, first.scale)
+    in_second = transformed(rough, corners.after)
+    kept = is_inside(in_second, size)  # the warp has no data outside the second view
+    return _checked(corners.before[kept], in_second[kept], size, first.scale)
 
 
 def _of_features(first: SmallPicture, second: SmallPicture) -> Array | None:
     """Return the (3, 3) homography that most shared features agree with, in pixels; None if too few agree."""
     sift = cv2.SIFT.create(nfeatures=4000)
-    (points, descriptors), (others, descriptions) = (sift.detectAndCompute(one.fine, None) for one in (first, second))
-    if min(len(points), len(others)) < REGISTRATION_LIMITS.fewest_features:
+    (first_points, descriptors), (second_points, descriptions) = (
+        sift.detectAndCompute(picture.fine, None) for picture in (first, second)
+    )
+    if min(len(first_points), len(second_points)) < REGISTRATION_LIMITS.fewest_features:
         return None
     pairs = cv2.BFMatcher().knnMatch(descriptors, descriptions, k=2)
     good = [
@@ -133,8 +135,8 @@ def _of_features(first: SmallPicture, second: SmallPicture) -> Array | None:
     ]
     if len(good) < REGISTRATION_LIMITS.fewest_features:
         return None
-    before = (np.array([points[match.queryIdx].pt for match in good]) + 0.5) / first.scale
-    after = (np.array([others[match.trainIdx].pt for match in good]) + 0.5) / second.scale
+    before = (np.array([first_points[match.queryIdx].pt for match in good]) + 0.5) / first.scale
+    after = (np.array([second_points[match.trainIdx].pt for match in good]) + 0.5) / second.scale
     cv2.setRNGSeed(0)
     matrix, agree = cv2.findHomography(
         before, after, cv2.RANSAC, REGISTRATION_LIMITS.feature_px / first.scale, maxIters=5000
@@ -150,10 +152,10 @@ def _overlaps(matrix: Array, size: tuple[int, int]) -> bool:
     shares = []
     for H in (matrix, np.linalg.inv(matrix)):
         H = H / H[2, 2]
-        there = transformed(H, grid)
-        across, down = (transformed(H, grid + step) - there for step in np.eye(2))
+        moved_grid = transformed(H, grid)
+        across, down = (transformed(H, grid + step) - moved_grid for step in np.eye(2))
         upright = across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0] > 0
-        shares.append(float((is_inside(there, size) & upright).mean()))
+        shares.append(float((is_inside(moved_grid, size) & upright).mean()))
     return min(shares) >= REGISTRATION_LIMITS.least_overlap
 
 

@@ -85,7 +85,7 @@ class SceneOptions(KeypointOptions):
         `noise` has the noise levels of the run. Only the first is used here.
         """
         from skope.camera.fit.fit_ground import with_fitted_ground
-        from skope.camera.fit.write_camera import doubt
+        from skope.camera.fit.write_camera import scale_error_line
         from skope.dataset.camera_of_file import fitted_camera
 
         check_probability("--score", self.score)
@@ -102,7 +102,7 @@ class SceneOptions(KeypointOptions):
         if scene.motion:
             console.result(f"{scene.file.name}: {scene.motion}")
         if scene.known:
-            console.result(doubt(self.camera or scene.file.name, scene.known.distance_sigma()))
+            console.result(scale_error_line(self.camera or scene.file.name, scene.known.distance_sigma()))
         if self.ground in FITTED_CHOICES:
             scene, words = with_fitted_ground(scene, self.ground, score=self.score, noise=noise[0], sigma_px=self.sigma)
             if words:

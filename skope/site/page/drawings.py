@@ -49,7 +49,7 @@ DRAWING_RULES: Final = DrawingRules()
 
 
 def gate_warnings(
-    line: Array, camera: Camera, lanes: Sequence[tuple[Array, float]], place_error: Callable[[Array], Array] | None
+    line: Array, camera: Camera, lanes: Sequence[tuple[Array, float]], position_error: Callable[[Array], Array] | None
 ) -> list[str]:
     """Return warnings on a gate.
 
@@ -57,7 +57,7 @@ def gate_warnings(
         line: (2, 2) both ends on the road, metres.
         camera: The camera over a road at z = 0.
         lanes: Lines (N, 2) along the lanes and their widths, metres.
-        place_error: Function from pixels (..., 2) to position errors in metres (...,); None: errors are unknown.
+        position_error: Function from pixels (..., 2) to position errors in metres (...,); None: errors are unknown.
     """
     along = line[1] - line[0]
     length = float(np.linalg.norm(along))
@@ -78,8 +78,8 @@ def gate_warnings(
                 "tracks there are never on both sides"
             )
     out += _lanes_along(line, lanes)
-    if place_error is not None:
-        errors = place_error(camera.project(_on_road(spots[seen]))[0])
+    if position_error is not None:
+        errors = position_error(camera.project(_on_road(spots[seen]))[0])
         worst = float(np.nanmax(errors)) if np.isfinite(errors).any() else math.nan
         if worst > DRAWING_RULES.known_m:
             out.append(
@@ -102,11 +102,11 @@ def _lanes_along(line: Array, lanes: Sequence[tuple[Array, float]]) -> list[str]
     return []
 
 
-def _distance(one: Array, other: Array) -> float:
+def _distance(first: Array, second: Array) -> float:
     """Return the distance of two line segments (2, 2)."""
     from shapely import LineString
 
-    return float(LineString(one).distance(LineString(other)))
+    return float(LineString(first).distance(LineString(second)))
 
 
 def _on_road(xy: Array) -> Array:
@@ -246,49 +246,54 @@ def _direction_problems(index: int, entry: Mapping[str, Any]) -> list[Problem]:
 
 
 def shapes(
-    drawings: Sequence[Drawing], camera: Camera | None, place_error: Callable[[Array], Array] | None
+    drawings: Sequence[Drawing], camera: Camera | None, position_error: Callable[[Array], Array] | None
 ) -> list[dict[str, Any]]:
     """Compute what the page shows of each drawing.
 
-    Without a camera only gates that are drawn in the image have a shape. Warnings that need metres are for drawings
-    with metres.
-
-    The ways (two places each, metres) are a lane's last segment and both directions across a gate, from its left to its
-    right and back; `arrows` are the same in the image.
+    Without a camera only gates that are drawn in the image have a shape. Warnings that need metres are only for
+    drawings with positions on the road.
 
     Args:
         drawings: The drawings without faults.
         camera: The camera, over a road at z = 0; None: it is not known.
-        place_error: Function from pixels (..., 2) to position errors in metres (...,); None: errors are unknown.
+        position_error: Function from pixels (..., 2) to position errors in metres (...,); None: errors are unknown.
 
     Returns:
-        For each drawing `kind`, `index` and `warnings`; `lines` and `corners` in pixels, but of occluders; of gates and
-        lanes `ways` and `arrows`; of lanes `edges`, in pixels; `places` of a gate that is drawn in the image: its ends
-        on the road, metres, where they are known.
+        For each drawing `kind`, `index` and `warnings`, and these keys:
+
+        - `lines` and `corners`, pixels: all kinds except occluders.
+        - `ways`, pairs of positions in metres: both directions across a gate (from its left to its right, and back), or
+          the last segment of a lane. `arrows` are the same in pixels.
+        - `edges`, pixels: lanes.
+        - `places`, metres: the ends on the road of a gate that is drawn in the image, if they are known.
     """
-    lanes = [(one.positions, one.width) for one in drawings if one.kind == "lanes"]
+    lanes = [(drawing.positions, drawing.width) for drawing in drawings if drawing.kind == "lanes"]
     out = []
-    for one in drawings:
-        if one.pixels is not None:
-            out.append(_image_gate(one, one.pixels, camera, lanes, place_error))
+    for drawing in drawings:
+        if drawing.pixels is not None:
+            out.append(_image_gate(drawing, drawing.pixels, camera, lanes, position_error))
             continue
         if camera is None:
             continue
-        shown: dict[str, Any] = {"kind": one.kind, "index": one.index, "warnings": []}
-        if one.kind == "occluders":
-            shown["warnings"] = _occluder_warnings(one, camera)
+        shown: dict[str, Any] = {"kind": drawing.kind, "index": drawing.index, "warnings": []}
+        if drawing.kind == "occluders":
+            shown["warnings"] = _occluder_warnings(drawing, camera)
         else:
-            ends = np.concatenate([one.positions, one.positions[:1]]) if one.kind == "zones" else one.positions
+            ends = (
+                np.concatenate([drawing.positions, drawing.positions[:1]])
+                if drawing.kind == "zones"
+                else drawing.positions
+            )
             shown["lines"] = road_line(camera, ends)
-            shown["corners"] = _pixels(camera, one.positions)
-        if one.kind in ("gates", "lanes"):
-            ways = _ways_across(one.positions) if one.kind == "gates" else [one.positions[-2:]]
+            shown["corners"] = _pixels(camera, drawing.positions)
+        if drawing.kind in ("gates", "lanes"):
+            ways = _ways_across(drawing.positions) if drawing.kind == "gates" else [drawing.positions[-2:]]
             shown["ways"] = [way.tolist() for way in ways]
             shown["arrows"] = [road_line(camera, way) for way in ways]
-        if one.kind == "gates":
-            shown["warnings"] = gate_warnings(one.positions, camera, lanes, place_error)
-        if one.kind == "lanes":
-            shown["edges"] = [line for side in (-1, 1) for line in road_line(camera, _beside(one, side))]
+        if drawing.kind == "gates":
+            shown["warnings"] = gate_warnings(drawing.positions, camera, lanes, position_error)
+        if drawing.kind == "lanes":
+            shown["edges"] = [line for side in (-1, 1) for line in road_line(camera, _beside(drawing, side))]
         out.append(shown)
     return out
 
@@ -298,7 +303,7 @@ def _image_gate(
     pixels: Array,
     camera: Camera | None,
     lanes: Sequence[tuple[Array, float]],
-    place_error: Callable[[Array], Array] | None,
+    position_error: Callable[[Array], Array] | None,
 ) -> dict[str, Any]:
     """Return what the page shows of a gate with its ends in the image: an entry of `shapes`."""
     # Negative rows keep left and right of the line as on the screen.
@@ -320,7 +325,7 @@ def _image_gate(
         return shown | {"warnings": [_ABOVE_HORIZON]}
     ends = np.array(line)
     shown |= {"places": ends.tolist(), "ways": [way.tolist() for way in _ways_across(ends)]}
-    return shown | {"warnings": gate_warnings(ends, camera, lanes, place_error)}
+    return shown | {"warnings": gate_warnings(ends, camera, lanes, position_error)}
 
 
 def road_line(camera: Camera, corners: Array) -> list[Polyline]:
@@ -357,7 +362,7 @@ def _beside(lane: Drawing, side: int) -> Array:
     return lane.positions + side * lane.width / 2 * at_corner
 
 
-def _occluder_warnings(one: Drawing, camera: Camera) -> list[str]:
-    if one.foot is None or np.isfinite(intersect_ground(camera, one.foot)).all():
+def _occluder_warnings(occluder: Drawing, camera: Camera) -> list[str]:
+    if occluder.foot is None or np.isfinite(intersect_ground(camera, occluder.foot)).all():
         return []
     return ["its foot is above the horizon, and therefore not on the road"]

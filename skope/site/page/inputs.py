@@ -61,7 +61,7 @@ class SiteFrames:
             UserError: It is none of these, or cannot be read.
         """
         footage = open_footage(source)
-        if footage.live or footage.place is None:
+        if footage.live or footage.location is None:
             raise UserError(f"{source}: a stream has no frames to go back to; record some seconds of it")
         if footage.images:
             paths = footage.images
@@ -155,15 +155,15 @@ def loaded(path: Path, size: tuple[int, int]) -> dict[str, Any]:
         # Coordinates from a local origin have more digits than the file: tenths of millimetres are kept.
         points = [entry | {"place": np.round(entry["place"], 4).tolist()} for entry in map(point_entry, file.points)]
         world = {"world": dict(file.world)} if file.world else {}
-        return {"points": points, **world, "said": "; ".join(file.said)}
+        return {"points": points, **world, "said": "; ".join(file.notes)}
     camera, posed = read_camera(path, size)
     known = read_uncertain_camera(path) if posed and path.suffix.lower() == ".json" else None
     camera, scaled = fitted_camera(camera, size, str(path), "the footage")
     lens = {"lens": lens_of(camera)}
     if not posed:
-        said = "the file has only the lens: mark points, or lengths and parallel lines, for the pose of the camera"
-        said = f"{scaled}; {said}" if scaled else said
-        return {**lens, "said": said}
+        message = "the file has only the lens: mark points, or lengths and parallel lines, for the pose of the camera"
+        message = f"{scaled}; {message}" if scaled else message
+        return {**lens, "said": message}
     return {**lens, "camera": camera_dict(known, camera) | {"trusted": True}, "said": scaled}
 
 

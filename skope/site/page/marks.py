@@ -14,7 +14,7 @@ from zoneinfo import ZoneInfo
 
 from skope.camera.evidence import CameraPrior, Evidence
 from skope.errors import UserError
-from skope.site.calibration_marks import beliefs_of
+from skope.site.calibration_marks import priors_of
 from skope.site.mark_parser import (
     KNOWN_RANGES,
     LENS_RANGES,
@@ -25,7 +25,7 @@ from skope.site.mark_parser import (
     known_value,
     read_mark,
 )
-from skope.site.site_file import clock_doubt
+from skope.site.site_file import clock_problem
 
 _MAX_ENTRIES: Final = 500
 """Maximum number of entries of a list; a person marks some dozens."""
@@ -45,8 +45,8 @@ def unique_names(entries: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a unique name for each entry, its own if no earlier entry has it, for the solver's messages."""
     out: list[str] = []
     for number, entry in enumerate(entries, start=1):
-        own = entry.get("name")
-        name = own.strip() if isinstance(own, str) and own.strip() else str(number)
+        given = entry.get("name")
+        name = given.strip() if isinstance(given, str) and given.strip() else str(number)
         plain, again = name, 2
         while name in out:
             name, again = f"{plain} ({again})", again + 1
@@ -79,18 +79,27 @@ def marks_of_document(document: Mapping[str, Any], size: tuple[int, int]) -> Mar
             if not wrong and not faults:
                 found[kind].append(made)
                 entries[kind][name] = index
-    beliefs, wrong = _known(document.get("known"), size[0])
+    priors, wrong = _known(document.get("known"), size[0])
     problems += wrong
-    evidence = Evidence(size, **{kind: tuple(found[kind]) for kind in MARK_KINDS}, beliefs=beliefs)
+    evidence = Evidence(size, **{kind: tuple(found[kind]) for kind in MARK_KINDS}, priors=priors)
     return Marks(evidence=evidence, entries=entries, problems=problems)
 
 
-def _name_problems(kind: str, index: int, name: str, own: Any) -> list[Problem]:
-    """Return the problems of an invalid name, or of an earlier entry's; `name` is the entry's unique name."""
-    if not isinstance(own, str) or not is_name(own or "1"):
+def _name_problems(kind: str, index: int, name: str, given: Any) -> list[Problem]:
+    """Return the problem of a name that is invalid or used by an earlier entry.
+
+    Args:
+        kind: Name of the entry's list.
+        index: Index of the entry in its list.
+        name: The entry's unique name.
+        given: The entry's name in the document.
+    """
+    if not isinstance(given, str) or not is_name(given or "1"):
         return [Problem(kind=kind, index=index, field="name", text=NO_NAME)]
-    if own.strip() and own.strip() != name:
-        return [Problem(kind=kind, index=index, field="name", text=f"another entry is already called {own.strip()!r}")]
+    if given.strip() and given.strip() != name:
+        return [
+            Problem(kind=kind, index=index, field="name", text=f"another entry is already called {given.strip()!r}")
+        ]
     return []
 
 
@@ -109,7 +118,7 @@ def _known(value: Any, width: int) -> tuple[tuple[CameraPrior, ...], list[Proble
             text = f"expected {limits[0]:g} to {limits[1]:g} {unit}, and a standard deviation"
             problems.append(Problem(kind="known", index=0, field=name, text=text))
     lens = given.get("lens")
-    return beliefs_of(width, **found, lens=None if lens is None else _lens(lens)), problems
+    return priors_of(width, **found, lens=None if lens is None else _lens(lens)), problems
 
 
 def _lens(value: Any) -> dict[str, tuple[float, float]]:
@@ -152,8 +161,8 @@ def read_time(document: Mapping[str, Any]) -> FootageTime:
     if start is not None and start.tzinfo is None:
         if zone is None and not problems:
             wrong("start", "type the time zone too")
-        elif zone is not None and (doubt := clock_doubt(start, zone)):
-            wrong("start", doubt)
+        elif zone is not None and (fault := clock_problem(start, zone)):
+            wrong("start", fault)
     return FootageTime(time_zone=zone.key if zone else None, start=start, problems=tuple(problems))
 
 

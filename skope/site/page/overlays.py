@@ -73,10 +73,12 @@ def overlays(camera: Camera, toward: Array | None = None) -> dict[str, Any]:
         "labels": labels,
         "horizon": horizon_line(camera),
         "posts": [
-            line for place in beside for line in polylines_of(camera, place + [[0, 0, 0], [0, 0, OVERLAY_GRID.post_m]])
+            line
+            for position in beside
+            for line in polylines_of(camera, position + [[0, 0, 0], [0, 0, OVERLAY_GRID.post_m]])
         ],
         "post_m": OVERLAY_GRID.post_m,
-        "boxes": [line for place in places for line in car_edges(camera, place, way)],
+        "boxes": [line for position in places for line in car_edges(camera, position, way)],
         "box_lwh": list(OVERLAY_GRID.car_lwh),
     }
 
@@ -96,19 +98,19 @@ def horizon_line(camera: Camera) -> list[Polyline]:
     return polylines_of(camera, foot + level + 1e6 * (np.cos(turn) * ahead + np.sin(turn) * left))
 
 
-def car_edges(camera: Camera, place: Array, way: Array) -> list[Polyline]:
+def car_edges(camera: Camera, position: Array, way: Array) -> list[Polyline]:
     """Return the visible edges of a car of `OVERLAY_GRID.car_lwh` on the road.
 
     Args:
         camera: The camera.
-        place: (3,) middle of the car on the road, metres.
+        position: (3,) middle of the car on the road, metres.
         way: (2,) unit vector of its heading.
 
     Returns:
         The visible parts of its edges, pixels.
     """
     turn = np.array([[way[0], -way[1], 0], [way[1], way[0], 0], [0, 0, 1]])
-    corners = place + (UNIT_BOX * OVERLAY_GRID.car_lwh) @ turn.T
+    corners = position + (UNIT_BOX * OVERLAY_GRID.car_lwh) @ turn.T
     return [line for a, b in UNIT_BOX_EDGES for line in polylines_of(camera, corners[[a, b]])]
 
 
@@ -135,9 +137,9 @@ def _standing(camera: Camera, columns: tuple[float, ...]) -> list[Array]:
         places = intersect_ground(camera, np.stack([np.full(60, share * camera.width), rows], axis=-1))
         away = np.linalg.norm(places - camera.position, axis=-1)
         last = 0.0
-        for place, distance in zip(places, away.tolist(), strict=True):
+        for position, distance in zip(places, away.tolist(), strict=True):
             if np.isfinite(distance) and distance < OVERLAY_GRID.reach_m[1] and distance > max(last * 1.6, last + 6):
-                out.append(place)
+                out.append(position)
                 last = distance
     return out
 

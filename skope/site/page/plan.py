@@ -87,10 +87,10 @@ def map_places(sent: Mapping[str, Any]) -> dict[str, Any]:
 def _metres_in(world: Mapping[str, Any], degrees: Any) -> Any:
     """Return (N, 2) metres from the origin of a world, for (N, 2) longitudes and latitudes."""
     origin, zone = world.get("origin"), UTM_ZONE.fullmatch(str(world.get("utm_zone")))
-    told = origin if isinstance(origin, dict) else {}
-    if about := positions([[told.get("longitude"), told.get("latitude")]], 2):
+    origin_fields = origin if isinstance(origin, dict) else {}
+    if about := positions([[origin_fields.get("longitude"), origin_fields.get("latitude")]], 2):
         return local_metres(degrees[:, 0], degrees[:, 1], (about[0][0], about[0][1]))
-    if zone and (about := positions([[told.get("easting"), told.get("northing")]], 2)):
+    if zone and (about := positions([[origin_fields.get("easting"), origin_fields.get("northing")]], 2)):
         grid = utm_metres(degrees[:, 0], degrees[:, 1], int(zone[1]), south=zone[2] == "S")
         return grid - about[0]
     raise UserError("where the world's (0, 0) is on the map is not known: type metres")
@@ -177,8 +177,10 @@ class PlanPictures:
         """Store an image's bytes; return its name. Raise UserError if browsers cannot show it."""
         kind = next((media for begin, _, media in IMAGE_KINDS if data.startswith(begin)), None)
         if kind is None or (kind == "image/webp" and data[8:12] != b"WEBP"):
-            what = "a PDF: save its page as PNG" if data.startswith(b"%PDF") else "expected a PNG, JPEG or WebP picture"
-            raise UserError(what)
+            expected = (
+                "a PDF: save its page as PNG" if data.startswith(b"%PDF") else "expected a PNG, JPEG or WebP picture"
+            )
+            raise UserError(expected)
         if len(data) > PLAN_RULES.most_bytes:
             raise UserError(f"expected a picture of up to {PLAN_RULES.most_bytes >> 20} MB")
         name = hashlib.sha256(data).hexdigest()
@@ -242,7 +244,7 @@ def plan_scale(sent: Mapping[str, Any]) -> dict[str, Any]:
     apart = math.dist(*ends)
     if apart < 2:
         raise UserError("the two points are the same: click again")
-    first, second = _place(sent.get("at", [0, 0]), "first"), _place(sent.get("second"), "second")
+    first, second = _position(sent.get("at", [0, 0]), "first"), _position(sent.get("second"), "second")
     if first is None:
         raise UserError("x, y: expected metres, two numbers")
     typed = sent.get("metres")
@@ -271,12 +273,12 @@ def plan_scale(sent: Mapping[str, Any]) -> dict[str, Any]:
     return {"metres_per_pixel": scale, "origin": corner, "rotation_deg": rotation}
 
 
-def _place(value: Any, which: str) -> tuple[float, float] | None:
+def _position(value: Any, which: str) -> tuple[float, float] | None:
     """Return x and y; None if both are empty."""
     pair = value if isinstance(value, list) and len(value) == 2 else [None, None]
-    if all(one in (None, "") for one in pair):
+    if all(coordinate in (None, "") for coordinate in pair):
         return None
-    x, y = (_number(one) for one in pair)
+    x, y = (_number(coordinate) for coordinate in pair)
     if x is None or y is None or max(abs(x), abs(y)) > 1e8:
         raise UserError(f"x, y of the {which} one: expected metres, two numbers")
     return x, y

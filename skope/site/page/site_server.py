@@ -50,7 +50,7 @@ PAGE_FILES: Final = SHARED_FILES | {
 }
 PAGE_LIMITS: Final = {
     "fewest": FEWEST_POSITIONS,
-    "usual": {"points": MARKING_ERRORS.place_m, "lengths": MARK_LIMITS.length_sigma_m, "lanes": DEFAULT_LANE_M},
+    "usual": {"points": MARKING_ERRORS.position_m, "lengths": MARK_LIMITS.length_sigma_m, "lanes": DEFAULT_LANE_M},
     "longest_name": MARK_LIMITS.name_letters,
 }
 """Limits of the parser for the page: number of positions by kind, default values of empty fields, letters of a name."""
@@ -174,8 +174,8 @@ class SiteServer(LocalServer):
         except SavedElsewhereError:
             return HTTPStatus.CONFLICT, {"text": SAVED_ELSEWHERE.format(name=self.store.path.name)}
         counts = solved.camera or any(drawn_in_image("gates", gate) for gate in document.get("gates", []))
-        said = "" if counts else "saved; the camera is not calibrated yet"
-        return HTTPStatus.OK, {"revision": revision, "said": said}
+        message = "" if counts else "saved; the camera is not calibrated yet"
+        return HTTPStatus.OK, {"revision": revision, "said": message}
 
     def read(self, sent: Mapping[str, Any]) -> dict[str, Any]:
         """Return the content of a file that the browser sends."""

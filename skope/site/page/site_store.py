@@ -121,15 +121,19 @@ def merged_document(base: Mapping[str, Any], mine: Mapping[str, Any], theirs: Ma
     """
     out = dict(mine)
     for kind in (*MARK_KINDS, *DRAWN_KINDS):
-        own, other, before = (_by_name(document, kind) for document in (mine, theirs, base))
+        mine_by_name, theirs_by_name, base_by_name = (_by_name(document, kind) for document in (mine, theirs, base))
         rows = []
-        for name, entry in own.items():
-            changed_here = entry != before.get(name)
-            if name in other:
-                rows.append(entry if changed_here else other[name])
+        for name, entry in mine_by_name.items():
+            changed_here = entry != base_by_name.get(name)
+            if name in theirs_by_name:
+                rows.append(entry if changed_here else theirs_by_name[name])
             elif changed_here:  # new here, or changed here but removed there
                 rows.append(entry)
-        rows += [entry for name, entry in other.items() if name not in own and entry != before.get(name)]
+        rows += [
+            entry
+            for name, entry in theirs_by_name.items()
+            if name not in mine_by_name and entry != base_by_name.get(name)
+        ]
         out[kind] = rows
     for key in ("camera", "known", "world", "plan", "time_zone", "start"):
         out[key] = mine.get(key) if mine.get(key) != base.get(key) else theirs.get(key)
@@ -159,11 +163,15 @@ def document_of(site: SiteFile | None, size: tuple[int, int]) -> dict[str, Any]:
         out["plan"] = {key: getattr(site.plan, key) for key in PLAN_KEYS} | {"origin": list(site.plan.origin)}
     out |= time_texts(site.time_zone, site.start)
     out["gates"] = [_gate(gate, size) for gate in site.gates]
-    out["zones"] = [{"name": one.name, "polygon": _rows(one.polygon)} for one in site.zones]
-    out["lanes"] = [{"name": one.name, "line": _rows(one.line), "width": one.width} for one in site.lanes]
+    out["zones"] = [{"name": zone.name, "polygon": _rows(zone.polygon)} for zone in site.zones]
+    out["lanes"] = [{"name": lane.name, "line": _rows(lane.line), "width": lane.width} for lane in site.lanes]
     out["occluders"] = [
-        {"polygon": _rows(one.polygon), "foot": list(one.foot) if one.foot else None, "distance": one.distance}
-        for one in site.occluders
+        {
+            "polygon": _rows(occluder.polygon),
+            "foot": list(occluder.foot) if occluder.foot else None,
+            "distance": occluder.distance,
+        }
+        for occluder in site.occluders
     ]
     return out
 
@@ -185,15 +193,16 @@ def _marks(marks: CalibrationMarks, size: tuple[int, int]) -> dict[str, Any]:
     known = {"fov_deg": marks.fov_deg, "height_m": marks.height_m}
     lens = {"lens": {key: list(value) for key, value in marks.lens.items()}} if marks.lens else {}
     return {
-        "points": [point_entry(one) for one in evidence.points],
+        "points": [point_entry(point) for point in evidence.points],
         "lengths": [
-            {"name": one.name, "pixels": one.pixels.tolist(), "metres": one.metres}
-            | _unless("sigma_m", one.sigma_m, MARK_LIMITS.length_sigma_m)
-            for one in evidence.lengths
+            {"name": length.name, "pixels": length.pixels.tolist(), "metres": length.metres}
+            | _unless("sigma_m", length.sigma_m, MARK_LIMITS.length_sigma_m)
+            for length in evidence.lengths
         ],
-        "parallels": [{"name": one.name, "lines": one.lines.tolist()} for one in evidence.parallels],
+        "parallels": [{"name": group.name, "lines": group.lines.tolist()} for group in evidence.parallels],
         "verticals": [
-            {"name": one.name, "pixels": one.pixels.tolist(), "metres": one.metres} for one in evidence.verticals
+            {"name": vertical.name, "pixels": vertical.pixels.tolist(), "metres": vertical.metres}
+            for vertical in evidence.verticals
         ],
         "known": {name: list(value) for name, value in known.items() if value is not None} | lens,
     }
@@ -201,13 +210,17 @@ def _marks(marks: CalibrationMarks, size: tuple[int, int]) -> dict[str, Any]:
 
 def point_entry(point: MarkedPoint) -> dict[str, Any]:
     """Return a point for the document, with standard deviations that differ from the defaults."""
-    usual = {"sigma_m": MARKING_ERRORS.place_m, "sigma_px": MARKING_ERRORS.pixel, "sigma_z_m": MARKING_ERRORS.height_m}
-    own = {
+    usual = {
+        "sigma_m": MARKING_ERRORS.position_m,
+        "sigma_px": MARKING_ERRORS.pixel,
+        "sigma_z_m": MARKING_ERRORS.height_m,
+    }
+    sigmas = {
         key: value
         for name, default in usual.items()
         for key, value in _unless(name, getattr(point, name), default).items()
     }
-    return {"name": point.name, "pixel": point.pixel.tolist(), "place": point.place.tolist()} | own
+    return {"name": point.name, "pixel": point.pixel.tolist(), "place": point.place.tolist()} | sigmas
 
 
 def _unless(key: str, value: float, default: float) -> dict[str, float]:

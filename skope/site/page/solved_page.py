@@ -61,7 +61,7 @@ def missing(document: Mapping[str, Any], marks: Marks) -> str:
     # Three points have as many coordinates as a pose. A fourth is needed if the lens is unknown.
     needed = (
         POINT_FIT.fewest_points - 1
-        if any("focal" in belief.of for belief in evidence.beliefs)
+        if any("focal" in prior.of for prior in evidence.priors)
         else POINT_FIT.fewest_points
     )
     if evidence.lengths or evidence.parallels or len(evidence.points) >= needed:
@@ -184,7 +184,7 @@ class SolvedPage:
         if lacking:
             return replace(fallback, message=lacking)
         vehicles = (self._vehicles,) if self._vehicles else ()
-        evidence = replace(evidence, beliefs=(*evidence.beliefs, *vehicles))
+        evidence = replace(evidence, priors=(*evidence.priors, *vehicles))
         try:
             found = calibrate(evidence)
         except UserError as error:
@@ -310,13 +310,13 @@ def _residuals(calibration: SiteCalibration, marks: Marks, without: Mapping[str,
     `by_others` of a point is [leave-one-out error, its 90% bound], metres; None if not available.
     """
     out = []
-    told = {(one.kind, one.name): one for one in calibration.residuals}
+    residuals = {(residual.kind, residual.name): residual for residual in calibration.residuals}
     for kind in MARK_KINDS:
         for record in getattr(marks.evidence, kind):
             left_out = kind == "points" and record.name in calibration.outliers
-            one = told.get((MARK_WORDS[kind], record.name))
-            value = one.value if one else None
-            if one is None and kind == "points":
+            residual = residuals.get((MARK_WORDS[kind], record.name))
+            value = residual.value if residual else None
+            if residual is None and kind == "points":
                 off = np.linalg.norm(calibration.camera.project(record.place)[0] - record.pixel)
                 value = float(off) if np.isfinite(off) else None
             out.append(
@@ -326,28 +326,28 @@ def _residuals(calibration: SiteCalibration, marks: Marks, without: Mapping[str,
                     "value": None if value is None else round(value, 3),
                     "unit": RESIDUAL_UNITS[kind],
                     "left_out": left_out,
-                    "wrong": left_out or (one is not None and one.sigmas > SOLVED_PAGE.doubtful_sigmas),
+                    "wrong": left_out or (residual is not None and residual.sigmas > SOLVED_PAGE.doubtful_sigmas),
                     "at": _expected(calibration.camera, record.place) if kind == "points" else None,
-                    "by_others": _by_others(without.get(record.name)) if kind == "points" else None,
+                    "by_others": _leave_one_out(without.get(record.name)) if kind == "points" else None,
                 }
             )
     return out
 
 
-def _by_others(error: LeftOutError | None) -> list[float] | None:
-    told = [] if error is None else values(np.array([error.error_m, error.stated_m]))
-    return [value for value in told if value is not None] if told and None not in told else None
+def _leave_one_out(error: LeftOutError | None) -> list[float] | None:
+    numbers = [] if error is None else values(np.array([error.error_m, error.stated_m]))
+    return [value for value in numbers if value is not None] if numbers and None not in numbers else None
 
 
-def _expected(camera: Camera, place: Array) -> list[float] | None:
+def _expected(camera: Camera, position: Array) -> list[float] | None:
     """Return the pixel at which a camera sees a position."""
-    pixel, _, valid = camera.project(place)
+    pixel, _, valid = camera.project(position)
     return [round(float(v), 2) for v in pixel] if valid else None
 
 
 def _toward(drawings: list[Drawing]) -> Array | None:
     """Return the direction of the first lane, along which boxes are drawn."""
-    lane = next((one for one in drawings if one.kind == "lanes"), None)
+    lane = next((drawing for drawing in drawings if drawing.kind == "lanes"), None)
     return None if lane is None else lane.positions[-1] - lane.positions[0]
 
 

@@ -120,10 +120,10 @@ def _write_summary(sheet: "Worksheet", report: TrafficReport, formats: _Formats)
     row += 1
     for column, title in enumerate(("gate", "direction", "class", "count", "low (90%)", "high (90%)")):
         sheet.write_string(row, column, title, formats.head)
-    for one in report.counts_total:
+    for total in report.counts_total:
         row += 1
         for column, value in enumerate(
-            (one.gate, one.direction, one.class_name, one.count, *in_cells(one.confidence_interval))
+            (total.gate, total.direction, total.class_name, total.count, *in_cells(total.confidence_interval))
         ):
             _write_cell(sheet, row, column, value, formats)
     row += 2

@@ -66,15 +66,15 @@ def _features(report: TrafficReport) -> Iterator[dict[str, Any]]:
         yield _feature(report, "LineString", lane.line, {"kind": "lane", "name": lane.name, "width_m": lane.width})
     for zone in site.zones:
         yield _feature(report, "Polygon", zone.polygon, {"kind": "zone", "name": zone.name})
-    for one in report.trajectories:
-        rows = thinned(one, site.traffic.trajectory_interval_s)
-        if may_count(one, site.traffic) and len(rows) >= GEOJSON_FORMAT.least_points:
-            yield _feature(report, "LineString", one.xy[rows], _of_track(report, one, rows))
+    for track in report.trajectories:
+        rows = thinned(track, site.traffic.trajectory_interval_s)
+        if may_count(track, site.traffic) and len(rows) >= GEOJSON_FORMAT.least_points:
+            yield _feature(report, "LineString", track.xy[rows], _of_track(report, track, rows))
     for conflict in report.conflicts.conflicts:
         yield _feature(
             report,
             "Point",
-            conflict.place,
+            conflict.position,
             {
                 "kind": "conflict",
                 "time": _moment(report, conflict.time_s),
@@ -96,43 +96,43 @@ def _features(report: TrafficReport) -> Iterator[dict[str, Any]]:
 
 def _totals(report: TrafficReport, gate: str) -> dict[str, Any]:
     """Return the counts of a gate over the whole footage by direction, of all and of vehicles, with intervals."""
-    (mark,) = (one for one in report.gates if one.name == gate)
+    (mark,) = (known_gate for known_gate in report.gates if known_gate.name == gate)
     totals: dict[str, dict[str, Any]] = {}
-    for one in report.counts_total:
-        if one.gate == gate:
-            totals.setdefault(one.direction, {})[one.class_name] = {
-                "count": one.count,
-                **in_json(one.confidence_interval),
+    for total in report.counts_total:
+        if total.gate == gate:
+            totals.setdefault(total.direction, {})[total.class_name] = {
+                "count": total.count,
+                **in_json(total.confidence_interval),
             }
     return {"counts": totals, "from_left_to_right": direction_names(mark)[0]}
 
 
-def _of_track(report: TrafficReport, one: Track, rows: Sequence[int]) -> dict[str, Any]:
+def _of_track(report: TrafficReport, track: Track, rows: Sequence[int]) -> dict[str, Any]:
     return {
         "kind": "track",
-        "track": one.number,
-        "class": one.class_name,
-        "class_confidence": round(one.class_confidence, 3),
-        "otc_class": OTC_CLASSES[one.class_name],
-        **_length(report, one),
-        "begin": _moment(report, float(one.times_s[0])),
-        "times_s": np.round(one.times_s[rows], 3).tolist(),
-        "speed_kmh": np.round(one.speed[rows] * KMH_PER_MPS, 2).tolist(),
+        "track": track.number,
+        "class": track.class_name,
+        "class_confidence": round(track.class_confidence, 3),
+        "otc_class": OTC_CLASSES[track.class_name],
+        **_length(report, track),
+        "begin": _moment(report, float(track.times_s[0])),
+        "times_s": np.round(track.times_s[rows], 3).tolist(),
+        "speed_kmh": np.round(track.speed[rows] * KMH_PER_MPS, 2).tolist(),
         "speed_sigma_kmh": np.round(
-            report.observation.with_camera_error(one.during(np.array(rows))).speed_sigma * KMH_PER_MPS, 2
+            report.observation.with_camera_error(track.during(np.array(rows))).speed_sigma * KMH_PER_MPS, 2
         ).tolist(),
     }
 
 
-def _length(report: TrafficReport, one: Track) -> dict[str, Any]:
+def _length(report: TrafficReport, track: Track) -> dict[str, Any]:
     """Return length, its standard deviation, bin and its probability of a vehicle; empty without a length."""
-    if not has_length(one):
+    if not has_length(track):
         return {}
     common = report.observation.common_scale_sigma
-    name, probability = length_bin(one, report.site.traffic.length_bins_m, common)
+    name, probability = length_bin(track, report.site.traffic.length_bins_m, common)
     return {
-        "length_m": one.length,
-        "length_sigma_m": round(length_sigma_m(one, common), 3),
+        "length_m": track.length,
+        "length_sigma_m": round(length_sigma_m(track, common), 3),
         "length_bin": name,
         "length_bin_probability": round(probability, 3),
     }

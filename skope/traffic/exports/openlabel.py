@@ -43,12 +43,14 @@ def write_openlabel(folder: Path, report: TrafficReport) -> list[Path]:
 
     Frames are the observed frames, numbered from 0, with their times.
     """
-    chosen = [one for one in report.trajectories if may_count(one, report.site.traffic)]
+    chosen = [track for track in report.trajectories if may_count(track, report.site.traffic)]
     times = report.observation.times_s
-    spans = {one.number: np.searchsorted(times, [one.times_s[0] - 1e-6, one.times_s[-1] + 1e-6]) for one in chosen}
+    spans = {
+        track.number: np.searchsorted(times, [track.times_s[0] - 1e-6, track.times_s[-1] + 1e-6]) for track in chosen
+    }
     begun: dict[int, list[Track]] = {}
-    for one in chosen:
-        begun.setdefault(int(spans[one.number][0]), []).append(one)
+    for track in chosen:
+        begun.setdefault(int(spans[track.number][0]), []).append(track)
     path = folder / OPENLABEL_FILE
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(b'{"openlabel":{"metadata":' + json_bytes(_metadata(report)).strip())
@@ -60,7 +62,7 @@ def write_openlabel(folder: Path, report: TrafficReport) -> list[Path]:
         live: list[Track] = []
         for frame, time_s in enumerate(times.tolist()):
             beginning = map(report.observation.with_camera_error, begun.get(frame, ()))
-            live = [one for one in (*live, *beginning) if spans[one.number][1] > frame]
+            live = [track for track in (*live, *beginning) if spans[track.number][1] > frame]
             file.write(b",\n" if frame else b"\n")
             file.write(f'"{frame}":'.encode() + json_bytes(_frame(report, live, time_s)).strip())
         file.write(b"\n}}}\n")
@@ -84,12 +86,12 @@ def _interval(begin: int, end: int) -> dict[str, int]:
 def _objects(chosen: Sequence[Track], spans: Mapping[int, Any]) -> dict[str, Any]:
     """Return the road users that have a frame, by number."""
     objects = {}
-    for one in chosen:
-        begin, end = map(int, spans[one.number])
+    for track in chosen:
+        begin, end = map(int, spans[track.number])
         if begin < end:
-            objects[str(one.number)] = {
-                "name": f"{one.class_name} {one.number}",
-                "type": one.class_name,
+            objects[str(track.number)] = {
+                "name": f"{track.class_name} {track.number}",
+                "type": track.class_name,
                 "frame_intervals": [_interval(begin, end)],
                 "object_data_pointers": {"body": {"type": "cuboid", "frame_intervals": [_interval(begin, end)]}},
             }
@@ -101,21 +103,21 @@ def _frame(report: TrafficReport, live: Sequence[Track], time_s: float) -> dict[
     timestamp = f"{time_s:.3f}" if moment is None else moment.isoformat(timespec="milliseconds")
     frame: dict[str, Any] = {"frame_properties": {"timestamp": timestamp}}
     if live:
-        frame["objects"] = {str(one.number): {"object_data": {"cuboid": [_cuboid(one, time_s)]}} for one in live}
+        frame["objects"] = {str(track.number): {"object_data": {"cuboid": [_cuboid(track, time_s)]}} for track in live}
     return frame
 
 
-def _cuboid(one: Track, time_s: float) -> dict[str, Any]:
-    x, y = one.at(one.xy, time_s).tolist()
-    ahead = one.at(one.facing, time_s)
+def _cuboid(track: Track, time_s: float) -> dict[str, Any]:
+    x, y = track.at(track.xy, time_s).tolist()
+    ahead = track.at(track.facing, time_s)
     heading = math.atan2(ahead[1], ahead[0])
-    length, width = one.size
-    height = one.height or _HEIGHTS_M.get(one.category, OPENLABEL_FORMAT.height_m)
+    length, width = track.size
+    height = track.height or _HEIGHTS_M.get(track.category, OPENLABEL_FORMAT.height_m)
     values = (x, y, height / 2, 0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2), length, width, height)
-    sigma = float(worst_sigma(one.at(one.total_covariance, time_s)))
-    speed, speed_sigma = (float(one.at(column, time_s)) * KMH_PER_MPS for column in (one.speed, one.speed_sigma))
+    sigma = float(worst_sigma(track.at(track.total_covariance, time_s)))
+    speed, speed_sigma = (float(track.at(column, time_s)) * KMH_PER_MPS for column in (track.speed, track.speed_sigma))
     numbers = {"speed_kmh": speed, "speed_sigma_kmh": speed_sigma, "sigma_position_m": sigma}
-    measured = bool(one.length and one.width and one.height)
+    measured = bool(track.length and track.width and track.height)
     return {
         "name": "body",
         "val": [round(value, 6) for value in values],

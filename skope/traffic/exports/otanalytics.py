@@ -62,7 +62,7 @@ def write_otanalytics(folder: Path, report: TrafficReport, camera: Camera | None
     Returns:
         The files.
     """
-    chosen = [one for one in report.trajectories if may_count(one, report.site.traffic)]
+    chosen = [track for track in report.trajectories if may_count(track, report.site.traffic)]
     if report.metres:
         views = [plan_view(report.site, report.gates, chosen)]
         views += [] if camera is None else [image_view(report.gates, camera)]
@@ -82,8 +82,8 @@ def _write_tracks(path: Path, report: TrafficReport, tracks: Sequence[Track], vi
     with replacing(path) as temporary, bz2.open(temporary, "wb") as file:
         file.write(b'{"metadata":' + head + b',"data":{"detections":[')
         separator = b"\n"
-        for one in tracks:
-            for detection in _detections(one, report, view):
+        for track in tracks:
+            for detection in _detections(track, report, view):
                 file.write(separator + json_bytes(detection))
                 separator = b",\n"
         file.write(b"\n]}}\n")
@@ -178,7 +178,7 @@ def flow_document(report: TrafficReport, view: OtView) -> dict[str, Any]:
                 "plugin_data": {},
             }
         )
-    turned = {(one.origin[0], one.destination[0]) for one in report.turning_total}
+    turned = {(movement.origin[0], movement.destination[0]) for movement in report.turning_total}
     flows = [
         {"id": str(number), "name": f"{a} -> {b}", "start": numbers[a], "end": numbers[b], "distance": None}
         for number, (a, b) in enumerate(

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class GateImage:
     """Resolution of gates and of the image from above."""
 
-    legs: int = 64
+    segments: int = 64
     """Number of parts of a gate that are projected. Distortion bends it."""
     straight_px: float = 0.05
     """Points of a gate's line this close to a straight part are omitted, pixels."""
@@ -91,7 +91,7 @@ def pixel_view(gates: Sequence[Gate]) -> OtView:
 
 def plan_view(site: "SiteParts", gates: Sequence[Gate], trajectories: Sequence[Track]) -> OtView:
     """Return the view from above: a virtual image of all gates and tracks, with ten pixels per metre."""
-    places = [np.array(gate.line) for gate in gates] + [one.xy for one in trajectories]
+    places = [np.array(gate.line) for gate in gates] + [track.xy for track in trajectories]
     shift, crs = _map_of(site)
     everywhere = np.concatenate([*places, np.zeros((0, 2))]) + shift
     low, high = (everywhere.min(axis=0), everywhere.max(axis=0)) if len(everywhere) else (shift, shift)
@@ -144,11 +144,16 @@ def _bent(gate: Gate, pixels: Callable[[Array], Array], size: tuple[int, int]) -
     from shapely import LineString, box, get_parts
 
     ends = np.array(gate.line)
-    line = pixels(ends[0] + np.linspace(0, 1, GATE_IMAGE.legs + 1)[:, None] * (ends[1] - ends[0]))
+    line = pixels(ends[0] + np.linspace(0, 1, GATE_IMAGE.segments + 1)[:, None] * (ends[1] - ends[0]))
     valid = np.isfinite(line[:, 0])
     runs = np.split(np.arange(len(line)), np.flatnonzero(np.diff(valid)) + 1)
     drawn = [LineString(line[run]) for run in runs if valid[run[0]] and len(run) > 1]
-    parts = [part for one in drawn for part in get_parts(one.intersection(box(0, 0, *size))) if part.length > 0]
+    parts = [
+        part
+        for line_string in drawn
+        for part in get_parts(line_string.intersection(box(0, 0, *size)))
+        if part.length > 0
+    ]
     return _outline(max(parts, key=lambda part: part.length).simplify(GATE_IMAGE.straight_px).coords) if parts else ()
 
 

@@ -57,8 +57,8 @@ def write_ssam(folder: Path, report: TrafficReport) -> list[Path]:
 
     Vehicles, two-wheelers and pedestrians are all vehicles in the file, with their own sizes. Link and lane are 0.
     """
-    chosen = [one for one in report.trajectories if may_count(one, report.site.traffic)]
-    paths = [path for path in (FootprintPath(one, SSAM_FORMAT.step_s) for one in chosen) if len(path.ticks)]
+    chosen = [track for track in report.trajectories if may_count(track, report.site.traffic)]
+    paths = [path for path in (FootprintPath(track, SSAM_FORMAT.step_s) for track in chosen) if len(path.ticks)]
     origin, size = _area(paths)
     times = report.observation.times_s
     first, last = (round(float(times[row]) / SSAM_FORMAT.step_s) for row in (0, -1)) if len(times) else (0, 0)
@@ -80,7 +80,7 @@ def write_ssam(folder: Path, report: TrafficReport) -> list[Path]:
 
 def _area(paths: list[FootprintPath]) -> tuple[Array, tuple[int, int]]:
     """Return the (2,) origin of positions, metres, and the extent of the area to the east and north, metres."""
-    places = np.concatenate([np.zeros((0, 2)), *(path.place for path in paths)])
+    places = np.concatenate([np.zeros((0, 2)), *(path.position for path in paths)])
     if not len(places):
         return np.zeros(2), (1, 1)
     low, high = np.floor(places.min(axis=0)) - SSAM_FORMAT.margin_m, np.ceil(places.max(axis=0)) + SSAM_FORMAT.margin_m
@@ -94,7 +94,7 @@ def _rows(path: FootprintPath, origin: Array) -> NDArray[np.void]:
     length, width = path.size
     rows["type"], rows["vehicle"] = _VEHICLE, path.trajectory.number
     half = path.facing * (length / 2)
-    for name, places in (("front", path.place + half), ("rear", path.place - half)):
+    for name, places in (("front", path.position + half), ("rear", path.position - half)):
         rows[f"{name}_x"], rows[f"{name}_y"] = (places - origin).T
     rows["length"], rows["width"], rows["speed"] = length, width, path.speed
     if len(rows) > 1:

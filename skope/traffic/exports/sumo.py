@@ -39,7 +39,7 @@ def write_sumo(folder: Path, report: TrafficReport) -> list[Path]:
         UserError: No gate of the site has `edges`.
     """
     edges = edges_of(report.site)
-    whole = [one for one in report.intervals if _observed(report, one)]
+    whole = [interval for interval in report.intervals if _observed(report, interval)]
     shift = _shift(report)
     written = [folder / name for name in ("turns.xml", "edges.xml", "detectors.xml", "detectors.csv")]
     write_text(written[0], _document("data", _turns(report, whole, edges, shift)))
@@ -86,8 +86,8 @@ def _document(name: str, lines: Iterator[str]) -> str:
     return "\n".join((f"<{name}>", *lines, f"</{name}>", ""))
 
 
-def _interval(one: ClockInterval, shift: float) -> str:
-    return f'  <interval id="counts" begin="{one.begin_s + shift:.0f}" end="{one.end_s + shift:.0f}">'
+def _interval(interval: ClockInterval, shift: float) -> str:
+    return f'  <interval id="counts" begin="{interval.begin_s + shift:.0f}" end="{interval.end_s + shift:.0f}">'
 
 
 def _turns(
@@ -96,9 +96,9 @@ def _turns(
     """Yield elements with the numbers from edge to edge, by the interval of the first crossing."""
     for interval in whole:
         pairs = Counter(
-            one.sides
-            for one in report.movements
-            if interval.begin_s <= one.time_s < interval.end_s and one.trajectory.class_name in MOTOR_CLASSES
+            movement.sides
+            for movement in report.movements
+            if interval.begin_s <= movement.time_s < interval.end_s and movement.trajectory.class_name in MOTOR_CLASSES
         )
         yield _interval(interval, shift)
         for (origin, destination), number in sorted(pairs.items()):
@@ -143,13 +143,13 @@ def _crossed(
     report: TrafficReport, interval: ClockInterval, side: GateSide, classes: frozenset[str]
 ) -> list[GateCrossing]:
     return [
-        one
-        for one in report.crossings
-        if (one.gate, one.direction_name) == side
-        and interval.begin_s <= one.time_s < interval.end_s
-        and one.trajectory.class_name in classes
+        crossing
+        for crossing in report.crossings
+        if (crossing.gate, crossing.direction_name) == side
+        and interval.begin_s <= crossing.time_s < interval.end_s
+        and crossing.trajectory.class_name in classes
     ]
 
 
 def _speed(crossings: Sequence[GateCrossing]) -> str:
-    return f"{np.mean([one.speed for one in crossings]) * KMH_PER_MPS:.1f}" if crossings else "-1"
+    return f"{np.mean([crossing.speed for crossing in crossings]) * KMH_PER_MPS:.1f}" if crossings else "-1"

@@ -147,8 +147,8 @@ def _matrix(
         return Cell(number(origin, destination), bounds)
 
     def total(side: GateDirection, value: int) -> object:
-        own = counts.get(side)
-        return with_interval(own) if own is not None and own.count == value else value
+        gate_row = counts.get(side)
+        return with_interval(gate_row) if gate_row is not None and gate_row.count == value else value
 
     rows: list[list[object]] = [
         [
@@ -188,21 +188,21 @@ def _about(report: TrafficReport, origins: Sequence[GateDirection], destinations
 
 def flow_diagram(report: TrafficReport) -> Markup:
     """Return the diagram of movements; empty if no road user was seen at two gates."""
-    vehicles = any(one.class_name == VEHICLE_CATEGORY for one in report.turning_total)
+    vehicles = any(row.class_name == VEHICLE_CATEGORY for row in report.turning_total)
     whole = [
-        one
-        for one in report.turning_total
-        if one.class_name == (VEHICLE_CATEGORY if vehicles else ALL_CLASSES)
-        and one.count
-        and NO_GATE not in (one.origin, one.destination)
+        row
+        for row in report.turning_total
+        if row.class_name == (VEHICLE_CATEGORY if vehicles else ALL_CLASSES)
+        and row.count
+        and NO_GATE not in (row.origin, row.destination)
     ]
     if not whole:
         return Markup()
     middles = {gate.name: np.mean(gate.line, axis=0) for gate in report.gates}
-    used = {name for one in whole for name, _ in (one.origin, one.destination)}
-    angles = _angles({name: place for name, place in middles.items() if name in used})
-    most = max(one.count or 0 for one in whole)
-    order = sorted({one.origin for one in whole})
+    used = {name for row in whole for name, _ in (row.origin, row.destination)}
+    angles = _angles({name: middle for name, middle in middles.items() if name in used})
+    most = max(row.count or 0 for row in whole)
+    order = sorted({row.origin for row in whole})
     parts = [
         tag(
             "circle",
@@ -212,12 +212,12 @@ def flow_diagram(report: TrafficReport) -> Markup:
             class_="ring",
         )
     ]
-    largest_first = sorted(whole, key=lambda one: -(one.count or 0))
+    largest_first = sorted(whole, key=lambda row: -(row.count or 0))
     ranks: Counter[GateDirection] = Counter()
     numbers = []
-    for one in largest_first:
-        band, number = _band(one, angles, most, order.index(one.origin) % 4, ranks[one.origin])
-        ranks[one.origin] += 1
+    for row in largest_first:
+        band, number = _band(row, angles, most, order.index(row.origin) % 4, ranks[row.origin])
+        ranks[row.origin] += 1
         parts.append(band)
         numbers.append(number)
     parts += numbers
@@ -238,7 +238,7 @@ def flow_diagram(report: TrafficReport) -> Markup:
 def _angles(middles: dict[str, Array]) -> dict[str, float]:
     """Return the angle of each gate around the centre of all gates, radians. Angles keep a minimum distance."""
     centre = np.mean(list(middles.values()), axis=0)
-    found = {name: math.atan2(*(place - centre)[::-1]) for name, place in middles.items()}
+    found = {name: math.atan2(*(middle - centre)[::-1]) for name, middle in middles.items()}
     names = sorted(found, key=lambda name: found[name])
     least = min(math.radians(3 * CHART_STYLE.gate_gap_deg), 2 * math.pi / len(names))
     for _ in range(50):
@@ -255,7 +255,7 @@ def _at(angle: float, radius: float) -> tuple[float, float]:
 
 
 def _band(
-    one: TurningMovementCount, angles: dict[str, float], most: int, style: int, rank: int
+    movement: TurningMovementCount, angles: dict[str, float], most: int, style: int, rank: int
 ) -> tuple[Markup, Markup]:
     """Return the band of a movement and its number.
 
@@ -263,15 +263,18 @@ def _band(
     are to the right of bands out of it.
     """
     half = math.radians(CHART_STYLE.gate_gap_deg) / 2
-    begin, end = angles[one.origin[0]] + half, angles[one.destination[0]] - half
+    begin, end = angles[movement.origin[0]] + half, angles[movement.destination[0]] - half
     (ax, ay), (bx, by) = _at(begin, CHART_STYLE.diagram_radius), _at(end, CHART_STYLE.diagram_radius)
     inward = (
-        CHART_STYLE.u_turn_inward if one.origin[0] == one.destination[0] else CHART_STYLE.turn_inward
+        CHART_STYLE.u_turn_inward if movement.origin[0] == movement.destination[0] else CHART_STYLE.turn_inward
     ) * CHART_STYLE.diagram_radius
     (cx, cy), (dx, dy) = _at(begin, inward), _at(end, inward)
-    number = one.count or 0
+    number = movement.count or 0
     width = max(CHART_STYLE.thinnest_band, CHART_STYLE.widest_band * number / most)
-    tip = f"{_side(one.origin)} to {_side(one.destination)}: {number} ({in_words(one.confidence_interval)})"
+    tip = (
+        f"{_side(movement.origin)} to {_side(movement.destination)}: {number} "
+        f"({in_words(movement.confidence_interval)})"
+    )
     path = f"M{ax:.1f} {ay:.1f}C{cx:.1f} {cy:.1f} {dx:.1f} {dy:.1f} {bx:.1f} {by:.1f}"
     t = min(0.16 + 0.14 * rank, 0.8)
     weights = ((1 - t) ** 3, 3 * (1 - t) ** 2 * t, 3 * (1 - t) * t**2, t**3)
@@ -301,13 +304,13 @@ def counts_over_time(report: TrafficReport) -> Iterator[Markup]:
         lines = []
         for name in direction_names(gate):
             rows = [
-                one
-                for one in report.counts
-                if (one.gate, one.direction, one.lane, one.class_name) == (gate.name, name, ALL_CLASSES, ALL_CLASSES)
+                row
+                for row in report.counts
+                if (row.gate, row.direction, row.lane, row.class_name) == (gate.name, name, ALL_CLASSES, ALL_CLASSES)
             ]
-            hours = [(one.interval.begin_s + one.interval.end_s) / 2 / 3600 for one in rows]
+            hours = [(row.interval.begin_s + row.interval.end_s) / 2 / 3600 for row in rows]
             flows = [
-                None if not one.count and not one.observed_s else _hourly(one.count, one.observed_s) for one in rows
+                None if not row.count and not row.observed_s else _hourly(row.count, row.observed_s) for row in rows
             ]
             if any(flows):
                 lines.append(Line(name=name, x=[max(0.0, hour) for hour in hours], y=flows))
@@ -334,9 +337,10 @@ def speed_histograms(report: TrafficReport) -> Iterator[Markup]:
     for gate in report.gates:
         groups = {
             name: [
-                one.speed * KMH_PER_MPS
-                for one in report.crossings
-                if (one.gate, one.direction_name) == (gate.name, name) and one.trajectory.class_name in MOTOR_CLASSES
+                crossing.speed * KMH_PER_MPS
+                for crossing in report.crossings
+                if (crossing.gate, crossing.direction_name) == (gate.name, name)
+                and crossing.trajectory.class_name in MOTOR_CLASSES
             ]
             for name in direction_names(gate)
         }
@@ -348,10 +352,10 @@ def headway_histograms(report: TrafficReport) -> Iterator[Markup]:
     for gate in report.gates:
         groups = {
             name: [
-                one.headway_s
-                for one in report.headways
-                if (one.follower.gate, one.follower.direction_name) == (gate.name, name)
-                and one.headway_s <= CHART_STYLE.longest_headway_s
+                headway.headway_s
+                for headway in report.headways
+                if (headway.follower.gate, headway.follower.direction_name) == (gate.name, name)
+                and headway.headway_s <= CHART_STYLE.longest_headway_s
             ]
             for name in direction_names(gate)
         }

@@ -74,14 +74,16 @@ def class_tables(report: TrafficReport) -> list[Block]:
     groups = [name for name in (ALL_CLASSES, VEHICLE_CATEGORY) if all(name in rows for rows in whole.values())]
     groups = [ALL_CLASSES] if OF_VEHICLES.issuperset(found) else groups
     columns = [*groups, *found]
-    has_pce = any(own[ALL_CLASSES].count and own[ALL_CLASSES].pce is not None for own in whole.values())
+    has_pce = any(
+        class_rows[ALL_CLASSES].count and class_rows[ALL_CLASSES].pce is not None for class_rows in whole.values()
+    )
     rows = [
         [
             side_name(side),
-            *(with_interval(own[name]) for name in columns),
-            *([_pce_text(own[ALL_CLASSES])] if has_pce else []),
+            *(with_interval(class_rows[name]) for name in columns),
+            *([_pce_text(class_rows[ALL_CLASSES])] if has_pce else []),
         ]
-        for side, own in whole.items()
+        for side, class_rows in whole.items()
     ]
     head = ["gate", *map(_heading, columns), *(["PCE"] if has_pce else [])]
     caption = "Counts by gate and class, with 90% intervals of the true number"
@@ -144,7 +146,9 @@ def _by_interval(
         if not totals[ALL_CLASSES].count:
             continue
         classes = [name for name in report.site.traffic.classes if totals[name].count]
-        own = [{name: cells[side, one.begin_s, name] for name in (*groups, *classes)} for one in intervals]
+        interval_rows = [
+            {name: cells[side, interval.begin_s, name] for name in (*groups, *classes)} for interval in intervals
+        ]
         has_pce = totals[ALL_CLASSES].pce is not None
         rows = [
             [
@@ -153,7 +157,7 @@ def _by_interval(
                 *(count_text(row[name]) for name in classes),
                 *([_pce_text(row[ALL_CLASSES])] if has_pce else []),
             ]
-            for interval, row in zip(intervals, own, strict=True)
+            for interval, row in zip(intervals, interval_rows, strict=True)
         ]
         foot = [
             "whole footage",
@@ -178,11 +182,11 @@ def _observed_label(report: TrafficReport, interval: ClockInterval, row: Count) 
 
 def all_by_interval(report: TrafficReport) -> list[Block]:
     """Counts of all by interval: a row per interval, a column per gate and direction; empty for one interval."""
-    own = [row for row in report.counts if (row.lane, row.class_name) == (ALL_CLASSES, ALL_CLASSES)]
-    sides = list(dict.fromkeys((row.gate, row.direction) for row in own))
+    all_rows = [row for row in report.counts if (row.lane, row.class_name) == (ALL_CLASSES, ALL_CLASSES)]
+    sides = list(dict.fromkeys((row.gate, row.direction) for row in all_rows))
     if len(report.intervals) < 2 or not sides:
         return []
-    cells = {(row.interval.begin_s, row.gate, row.direction): row for row in own}
+    cells = {(row.interval.begin_s, row.gate, row.direction): row for row in all_rows}
     rows = [
         [
             _observed_label(report, interval, cells[(interval.begin_s, *sides[0])]),

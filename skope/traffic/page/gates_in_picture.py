@@ -93,8 +93,8 @@ def gates_in_picture(report: TrafficReport, picture: EmptyRoadPicture | None, ca
 
 def _letter(number: int) -> str:
     """a to z, then a2 to z2 and so on."""
-    turn, place = divmod(number, 26)
-    return chr(ord("a") + place) + (str(turn + 1) if turn else "")
+    turn, letter = divmod(number, 26)
+    return chr(ord("a") + letter) + (str(turn + 1) if turn else "")
 
 
 def _gate(

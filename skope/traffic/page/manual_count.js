@@ -3,11 +3,11 @@
 import { byId, element, text } from "./dom.js";
 import { checkedState, clockAt, csvOf, gehOf, overlapOf, rowsOf, spoken, unobserved, within } from "./manual_count_numbers.js";
 
-const $ = (id) => byId("hand-" + id);
-const root = byId("hand"), video = $("video");
+const $ = (id) => byId("manual-" + id);
+const root = byId("manual"), video = $("video");
 const data = JSON.parse($("data").textContent);
 const KEYS = "123456789qwertyuiopasdfghjklzxcvbnm";
-const KEPT = "skope-hand-count:" + data.key;
+const KEPT = "skope-manual-count:" + data.key;
 const RATES = [0.5, 0.75, 1, 1.5, 2], JUMP_S = 5, SLACK_S = 0.5, FEW = 20;
 const sideName = (k) => `${data.sides[k].gate} (${data.sides[k].direction})`;
 const keyOf = (k) => KEYS[k] || "";
@@ -164,7 +164,7 @@ const drawGates = () => {
   const middle = ([[x0, y0], [x1, y1]]) => [(x0 + x1) / 2, (y0 + y1) / 2];
   const drawn = data.view.gates.filter((one) => one.arrow);
   for (const one of data.view.gates) {
-    add("path", { d: "M" + one.line.map((point) => point.join(" ")).join("L"), class: "hand-line" });
+    add("path", { d: "M" + one.line.map((point) => point.join(" ")).join("L"), class: "manual-line" });
     if (!one.arrow) continue;
     const sides = data.sides.map((side, k) => ({ ...side, k })).filter((side) => side.gate === one.gate);
     const [[x0, y0], [x1, y1]] = one.arrow, [x2, y2] = middle(one.arrow);
@@ -174,8 +174,8 @@ const drawGates = () => {
     sides.forEach((side, k) => {
       // The key of the first direction is at the head of the arrow.
       const turn = k ? -1 : 1, x = x2 + turn * far * (x1 - x0), y = y2 + turn * far * (y1 - y0);
-      add("path", { d: `M${x2} ${y2}L${x} ${y}`, class: "hand-way" });
-      add("text", { x, y, "text-anchor": "middle", "dominant-baseline": "middle", class: "hand-key" }, keyOf(side.k) || side.direction);
+      add("path", { d: `M${x2} ${y2}L${x} ${y}`, class: "manual-way" });
+      add("text", { x, y, "text-anchor": "middle", "dominant-baseline": "middle", class: "manual-key" }, keyOf(side.k) || side.direction);
     });
   }
 };
@@ -185,8 +185,8 @@ addEventListener("resize", drawGates);
 // -------------------------------------------------------------------------------- counting
 const wanted = () => ({
   kind: $("kind").value,
-  what: root.querySelector("[name=hand-what]:checked").value,
-  sides: [...root.querySelectorAll("#hand-sides input:checked:not(:disabled)")].map((one) => Number(one.value)),
+  what: root.querySelector("[name=manual-what]:checked").value,
+  sides: [...root.querySelectorAll("#manual-sides input:checked:not(:disabled)")].map((one) => Number(one.value)),
 });
 const begin = () => {
   if (!loaded()) return say("Choose the video file first.");
@@ -217,9 +217,9 @@ const press = (k) => {
     current.presses.push({ ...pending, to: k });
     pending = null;
   }
-  const button = root.querySelector(`#hand-keys [data-side="${k}"]`);
-  button.classList.add("hand-hit");
-  setTimeout(() => button.classList.remove("hand-hit"), 150);
+  const button = root.querySelector(`#manual-keys [data-side="${k}"]`);
+  button.classList.add("manual-hit");
+  setTimeout(() => button.classList.remove("manual-hit"), 150);
   keep();
   listed();
 };
@@ -279,7 +279,7 @@ const listed = () => {
     }),
   );
   $("number").textContent = current.presses.length;
-  for (const button of root.querySelectorAll("#hand-keys button")) {
+  for (const button of root.querySelectorAll("#manual-keys button")) {
     const k = Number(button.dataset.side);
     const own = current.presses.filter((one) => one.side === k || one.to === k).length;
     button.lastChild.textContent = ` ${own}`;
@@ -341,7 +341,7 @@ const results = () => {
     address = URL.createObjectURL(new Blob([csvOf(data, state.done)], { type: "text/csv" }));
     const link = text("p", "");
     link.append(
-      text("a", "Download manual_count.csv", { href: address, download: "manual_count.csv", id: "hand-download", class: "hand-main" }),
+      text("a", "Download manual_count.csv", { href: address, download: "manual_count.csv", id: "manual-download", class: "manual-main" }),
       " and pass it to the same command with the same tracks and a new output folder: ",
       text("code", "--manual-count manual_count.csv --out ANOTHER"),
       ". The new report shows the errors of the counts and updated intervals.",
@@ -363,25 +363,25 @@ const sideButtons = () => {
 };
 const show = () => {
   const counting = Boolean(state.current);
-  document.body.classList.toggle("hand-is-counting", counting);
-  root.classList.toggle("hand-ready", loaded());
+  document.body.classList.toggle("manual-is-counting", counting);
+  root.classList.toggle("manual-ready", loaded());
   $("offset").disabled = $("recording").disabled = counting;
   if (counting) {
     sideButtons();
     listed();
     if (!loaded()) say("A count is unfinished: choose the video file again to resume it.");
     // Show the controls for choosing the file again.
-    root.classList.toggle("hand-lost", !loaded());
+    root.classList.toggle("manual-lost", !loaded());
   } else {
-    root.classList.remove("hand-lost");
+    root.classList.remove("manual-lost");
     results();
   }
   if (!keeps) $("note").append(text("br"), "This browser does not store data for this page: download the file before you reload the page.");
   clocked();
 };
 const sidesShown = () => {
-  const moves = root.querySelector("[name=hand-what]:checked").value === "movements";
-  for (const box of root.querySelectorAll("#hand-sides input")) box.disabled = moves && !data.sides[box.value].moves;
+  const moves = root.querySelector("[name=manual-what]:checked").value === "movements";
+  for (const box of root.querySelectorAll("#manual-sides input")) box.disabled = moves && !data.sides[box.value].moves;
 };
 
 // -------------------------------------------------------------------------------- input
@@ -408,7 +408,7 @@ for (const rate of RATES) {
   button.addEventListener("click", () => rated(rate));
   $("rates").append(button);
 }
-for (const one of root.querySelectorAll("[name=hand-what]")) one.addEventListener("change", sidesShown);
+for (const one of root.querySelectorAll("[name=manual-what]")) one.addEventListener("change", sidesShown);
 $("seek").addEventListener("input", () => {
   if (loaded()) video.currentTime = Number($("seek").value);
 });

@@ -83,7 +83,7 @@ def _kinds(report: TrafficReport) -> list[list[str]]:
         **{name: frozenset({name}) for name in classes},
     }
     return [
-        [name, "".join(CLASS_LETTERS[one] for one in TRAFFIC_CLASSES if one in members)]
+        [name, "".join(CLASS_LETTERS[class_name] for class_name in TRAFFIC_CLASSES if class_name in members)]
         for name, members in whole.items()
         if name != UNKNOWN_CLASS and members & set(classes)
     ]
@@ -92,8 +92,8 @@ def _kinds(report: TrafficReport) -> list[list[str]]:
 def _recordings(report: TrafficReport) -> list[dict[str, Any]]:
     """Return name, own second 0 and end of each recording, seconds of the report."""
     parts = report.observation.parts or (report.observation,)
-    begins = [one.begin_s for one in report.recordings] or [0.0]
-    names = [one.source for one in report.recordings] or [report.observation.source]
+    begins = [recording.begin_s for recording in report.recordings] or [0.0]
+    names = [recording.source for recording in report.recordings] or [report.observation.source]
     return [
         {"source": name, "begin_s": round(begin, 3), "end_s": round(part.extent[1], 3)}
         for name, begin, part in zip(names, begins, parts, strict=True)
@@ -103,10 +103,10 @@ def _recordings(report: TrafficReport) -> list[dict[str, Any]]:
 def _clocks(intervals: Sequence[ClockInterval]) -> Iterable[list[float]]:
     """Yield pairs of a second of the footage and the second of the day: at the start and at each clock change."""
     offset: object = None
-    for one in intervals:
-        if one.begin is not None and one.begin.utcoffset() != offset:
-            offset = one.begin.utcoffset()
-            yield [round(one.begin_s, 3), _second_of_day(one.begin)]
+    for interval in intervals:
+        if interval.begin is not None and interval.begin.utcoffset() != offset:
+            offset = interval.begin.utcoffset()
+            yield [round(interval.begin_s, 3), _second_of_day(interval.begin)]
 
 
 def _second_of_day(time: datetime) -> float:
@@ -158,8 +158,10 @@ def _machine(report: TrafficReport, sides: Sequence[tuple[str, str]]) -> dict[st
         return {"crossings": None, "movements": None}
     numbers = {side: k for k, side in enumerate(sides)}
     crossed: list[list[tuple[float, str]]] = [[] for _ in sides]
-    for one in report.crossings:
-        crossed[numbers[one.gate, one.direction_name]].append((one.time_s, one.trajectory.class_name))
+    for crossing in report.crossings:
+        crossed[numbers[crossing.gate, crossing.direction_name]].append(
+            (crossing.time_s, crossing.trajectory.class_name)
+        )
     moved: dict[tuple[int, int], list[tuple[float, str]]] = {}
     for way in report.movements:
         if way.origin is not None and way.destination is not None:

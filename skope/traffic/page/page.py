@@ -125,7 +125,7 @@ def traffic_page(
     return render(
         "traffic/page/report.html",
         title=f"Traffic: {report.observation.source or tracks}",
-        what=_what(report),
+        what=_extent(report),
         drawings=[gates_in_picture(report, view, camera), road_map(report, road)],
         sections=sections,
         manual_count_data=manual_count_data,
@@ -135,7 +135,7 @@ def traffic_page(
     )
 
 
-def _what(report: TrafficReport) -> str:
+def _extent(report: TrafficReport) -> str:
     """Return sentences on the number of crossings and tracks, and on the observed time."""
     spans = report.observation.spans
     minutes = report.observation.observed_s / 60
@@ -147,13 +147,13 @@ def _what(report: TrafficReport) -> str:
         if report.gates
         else ""
     )
-    told = f"{gates}{counted(len(report.trajectories), 'track')} in {duration} of observation"
+    extent = f"{gates}{counted(len(report.trajectories), 'track')} in {duration} of observation"
     begin = clock(report, float(spans[0, 0])) if len(spans) else None
     end = clock(report, float(spans[-1, 1])) if len(spans) else None
     if begin is None or end is None:
-        return f"{told}. The time of day is not known."
+        return f"{extent}. The time of day is not known."
     zone = f", {report.site.time_zone}" if report.site.time_zone else ""
-    return f"{told}, from {begin:%Y-%m-%d %H:%M:%S} to {end:%Y-%m-%d %H:%M:%S}{zone}."
+    return f"{extent}, from {begin:%Y-%m-%d %H:%M:%S} to {end:%Y-%m-%d %H:%M:%S}{zone}."
 
 
 def _figures(found: Iterator[Markup]) -> list[Block]:
@@ -163,17 +163,19 @@ def _figures(found: Iterator[Markup]) -> list[Block]:
 
 def _without_repeats(report: TrafficReport, rows: Sequence[TurningMovementCount]) -> list[TurningMovementCount]:
     """Return the rows, without those of vehicles if only vehicles were counted: they would repeat those of all."""
-    mixed = any(one.trajectory.category != VEHICLE_CATEGORY for one in (*report.crossings, *report.unseen.doubtful))
-    return [one for one in rows if mixed or one.class_name != VEHICLE_CATEGORY]
+    mixed = any(
+        crossing.trajectory.category != VEHICLE_CATEGORY for crossing in (*report.crossings, *report.unseen.doubtful)
+    )
+    return [row for row in rows if mixed or row.class_name != VEHICLE_CATEGORY]
 
 
 def _lengths(report: TrafficReport) -> list[Block]:
     """Return the table of vehicles by length, one row per gate and direction; empty if no length was measured."""
     cells: dict[tuple[str, str], list[Cell]] = {}
-    for one in report.lengths_total:
-        bounds = None if one.bin_name == NO_BIN else in_words(one.confidence_interval)
-        cells.setdefault((one.gate, one.direction), []).append(Cell("–" if one.count is None else one.count, bounds))
-    if not any(one.count for one in report.lengths_total):
+    for row in report.lengths_total:
+        bounds = None if row.bin_name == NO_BIN else in_words(row.confidence_interval)
+        cells.setdefault((row.gate, row.direction), []).append(Cell("–" if row.count is None else row.count, bounds))
+    if not any(row.count for row in report.lengths_total):
         return []
     first, second = report.site.traffic.length_bins_m
     head = ["gate", f"short, up to {first:g} m", f"medium, up to {second:g} m", "long", "not sure"]
@@ -183,7 +185,9 @@ def _lengths(report: TrafficReport) -> list[Block]:
         else ""
     )
     caption = f"Vehicles by length, with 90% intervals{untold}"
-    return [Table(caption=caption, head=head, rows=[[side_name(side), *own] for side, own in cells.items()])]
+    return [
+        Table(caption=caption, head=head, rows=[[side_name(side), *row_cells] for side, row_cells in cells.items()])
+    ]
 
 
 def _movements(report: TrafficReport) -> list[Block]:
@@ -196,29 +200,32 @@ def _movements(report: TrafficReport) -> list[Block]:
 
 def _speeds(report: TrafficReport) -> list[Block]:
     """Return the table of speeds of all motor vehicles, and a folded table by class."""
-    whole = [one for one in report.speeds if one.interval is None]
-    groups = [one for one in whole if any(part.value is not None for part in one.percentiles.values())]
+    whole = [group for group in report.speeds if group.interval is None]
+    groups = [group for group in whole if any(part.value is not None for part in group.percentiles.values())]
     rows, of_classes = (
         [
             [
-                *(one.where.replace(" -> ", " → "), one.kind, one.class_name, one.number),
-                *(_speed(one.percentiles[name]) for name in SPEED_PERCENTILES),
+                *(group.where.replace(" -> ", " → "), group.kind, group.class_name, group.number),
+                *(_speed(group.percentiles[name]) for name in SPEED_PERCENTILES),
             ]
-            for one in groups
-            if (one.class_name == MOTOR_TRAFFIC) == together
+            for group in groups
+            if (group.class_name == MOTOR_TRAFFIC) == together
         ]
         for together in (True, False)
     )
     head = ["where", "kind", "class", "vehicles", *(f"{name}, km/h" for name in SPEED_PERCENTILES)]
     shown = Table(caption="Speeds with enough vehicles (the others are in speeds.csv)", head=head, rows=rows)
     folded = Table(caption="Speeds by class", head=head, rows=of_classes, folded=True)
-    return [one for one in (shown, folded) if one.rows]
+    return [table for table in (shown, folded) if table.rows]
 
 
-def _speed(one: Percentile) -> Cell:
-    if one.value is None or one.low is None or one.high is None:
+def _speed(percentile: Percentile) -> Cell:
+    if percentile.value is None or percentile.low is None or percentile.high is None:
         return Cell("–", None)
-    return Cell(f"{one.value * KMH_PER_MPS:.1f}", f"{one.low * KMH_PER_MPS:.1f} to {one.high * KMH_PER_MPS:.1f}")
+    return Cell(
+        f"{percentile.value * KMH_PER_MPS:.1f}",
+        f"{percentile.low * KMH_PER_MPS:.1f} to {percentile.high * KMH_PER_MPS:.1f}",
+    )
 
 
 def _left_out(report: TrafficReport) -> list[Block]:
@@ -234,10 +241,10 @@ def _left_out(report: TrafficReport) -> list[Block]:
     ]
     for side, left_out in found.items():
         rows = []
-        for one in left_out[: REPORT_PAGE.most_left_out]:
-            moment = clock(report, one.time_s)
-            when = f"{one.time_s:.1f}\u00a0s" if moment is None else f"{moment:%H:%M:%S}"
-            rows.append([when, one.track, one.class_name, one.reason])
+        for crossing in left_out[: REPORT_PAGE.most_left_out]:
+            moment = clock(report, crossing.time_s)
+            when = f"{crossing.time_s:.1f}\u00a0s" if moment is None else f"{moment:%H:%M:%S}"
+            rows.append([when, crossing.track, crossing.class_name, crossing.reason])
         caption = f"{side_name(side)}: {len(left_out)} crossings that are not counted"
         parts.append(Table(caption=caption, head=head, rows=rows))
         if len(left_out) > len(rows):
@@ -251,19 +258,28 @@ def _conflicts(report: TrafficReport) -> list[Block]:
     def severe(value: float) -> float:
         return math.inf if math.isnan(value) else value
 
-    worst = sorted(found, key=lambda one: min(severe(one.ttc_s), severe(one.pet_ssam_s)))[: REPORT_PAGE.conflicts]
+    worst = sorted(found, key=lambda conflict: min(severe(conflict.ttc_s), severe(conflict.pet_ssam_s)))[
+        : REPORT_PAGE.conflicts
+    ]
     rows = []
-    for one in worst:
-        moment = clock(report, one.time_s)
-        ttc = "–" if math.isnan(one.ttc_s) else f"{one.ttc_s:.1f} ({one.ttc_low_s:.1f} to {_end(one.ttc_high_s)})"
+    for conflict in worst:
+        moment = clock(report, conflict.time_s)
+        ttc = (
+            "–"
+            if math.isnan(conflict.ttc_s)
+            else f"{conflict.ttc_s:.1f} ({conflict.ttc_low_s:.1f} to {_end(conflict.ttc_high_s)})"
+        )
         pet = (
             "–"
-            if math.isnan(one.pet_ssam_s)
-            else f"{one.pet_ssam_s:.1f} ± {_upwards(INTERVAL_SIGMAS * one.pet_sigma_s):.1f}"
+            if math.isnan(conflict.pet_ssam_s)
+            else f"{conflict.pet_ssam_s:.1f} ± {_upwards(INTERVAL_SIGMAS * conflict.pet_sigma_s):.1f}"
         )
-        who = f"{one.first.class_name} {one.first.number}, {one.second.class_name} {one.second.number}"
-        when = f"{one.time_s:.1f} s" if moment is None else f"{moment:%H:%M:%S}"
-        rows.append([when, who, one.kind, one.zone, ttc, pet])
+        road_users = (
+            f"{conflict.first.class_name} {conflict.first.number}, "
+            f"{conflict.second.class_name} {conflict.second.number}"
+        )
+        when = f"{conflict.time_s:.1f} s" if moment is None else f"{moment:%H:%M:%S}"
+        rows.append([when, road_users, conflict.kind, conflict.zone, ttc, pet])
     head = ["time", "road users", "type", "zone", "TTC, s", "PET (SSAM), s"]
     more = f": the {len(rows)} most severe of {len(found)}" if len(found) > len(rows) else ""
     caption = f"Conflicts{more}; use them to find locations, not as a count"
@@ -282,8 +298,8 @@ def _end(value: float) -> str:
 def _accuracy(report: TrafficReport) -> list[Block]:
     """Return the table that compares manual and automatic counts."""
     rows = []
-    for one in report.manual_count_checks:
-        hand = one.hand
+    for check in report.manual_count_checks:
+        hand = check.hand
         begin, end = (
             f"{moment:%H:%M:%S}" if moment else f"{seconds:.0f} s"
             for moment, seconds in (
@@ -291,14 +307,14 @@ def _accuracy(report: TrafficReport) -> list[Block]:
                 (hand.interval.end, hand.interval.end_s),
             )
         )
-        off = "–" if not hand.number else f"{100 * (one.count - hand.number) / hand.number:+.0f} %"
+        off = "–" if not hand.number else f"{100 * (check.count - hand.number) / hand.number:+.0f} %"
         cells = (
             f"{begin} to {end}",
             str(hand.number),
-            str(one.count),
+            str(check.count),
             off,
-            f"{one.geh:.1f}",
-            in_words(one.confidence_interval),
+            f"{check.geh:.1f}",
+            in_words(check.confidence_interval),
         )
         rows.append([f"{hand.gate} ({hand.direction_name})", hand.class_name, *cells])
     if not rows:
@@ -306,9 +322,11 @@ def _accuracy(report: TrafficReport) -> list[Block]:
             "No manual counts. Count 10 to 15 minutes at each gate and pass the file with --manual-count. This section "
             "then shows errors and GEH, and all count intervals are updated."
         ]
-    errors = [abs(one.count - one.hand.number) for one in report.manual_count_checks]
-    total = sum(one.hand.number for one in report.manual_count_checks)
-    said = f"Sum of the errors: {sum(errors)}, in manual counts of {total}"
-    said += f"; GEH under 5 in {np.mean([one.geh < 5 for one in report.manual_count_checks]):.0%}." if rows else "."
+    errors = [abs(check.count - check.hand.number) for check in report.manual_count_checks]
+    total = sum(check.hand.number for check in report.manual_count_checks)
+    errors_text = f"Sum of the errors: {sum(errors)}, in manual counts of {total}"
+    errors_text += (
+        f"; GEH under 5 in {np.mean([check.geh < 5 for check in report.manual_count_checks]):.0%}." if rows else "."
+    )
     head = ["gate", "class", "time", "manual", "counted", "error", "GEH", "90% interval without the manual count"]
-    return [Table(caption="Manual counts", head=head, rows=rows), said]
+    return [Table(caption="Manual counts", head=head, rows=rows), errors_text]

@@ -74,7 +74,7 @@ class _Frame:
 
 def road_map(report: TrafficReport, road: RoadPicture | None) -> Markup:
     """Return the map as a figure, with an image of the empty road if available; empty without gates and tracks."""
-    tracks = [one for one in report.trajectories if may_count(one, report.site.traffic)]
+    tracks = [track for track in report.trajectories if may_count(track, report.site.traffic)]
     chosen = tracks[:: max(1, math.ceil(len(tracks) / ROAD_MAP_STYLE.most_tracks))]
     places = _outline(chosen, [gate.line for gate in report.gates])
     if not len(places):
@@ -96,10 +96,10 @@ def road_map(report: TrafficReport, road: RoadPicture | None) -> Markup:
         class_="chart road",
     )
     drawn = f"{len(chosen)} of {len(tracks)}" if len(chosen) < len(tracks) else f"{len(tracks)}"
-    told = f"{drawn} tracks {'from above' if report.metres else 'in the image'}; gates with their counts"
+    title = f"{drawn} tracks {'from above' if report.metres else 'in the image'}; gates with their counts"
     names = ("vehicles", "two-wheelers", "people", "conflicts")
     keys = [tag("span", class_=f"key road-{k}") + name for k, name in enumerate(names)]
-    return piece("figure", told, drawing, keys, wide=True)
+    return piece("figure", title, drawing, keys, wide=True)
 
 
 def _outline(tracks: Sequence[Track], lines: Sequence[Outline]) -> Array:
@@ -107,7 +107,7 @@ def _outline(tracks: Sequence[Track], lines: Sequence[Outline]) -> Array:
     ends = np.array([end for line in lines for end in line], dtype=np.float64).reshape(-1, 2)
     if not tracks:
         return ends
-    every = np.concatenate([one.xy for one in tracks])
+    every = np.concatenate([track.xy for track in tracks])
     corners = np.percentile(every, [ROAD_MAP_STYLE.outermost_percent, 100 - ROAD_MAP_STYLE.outermost_percent], axis=0)
     if not len(ends):
         return np.asarray(corners)
@@ -138,47 +138,47 @@ def _marks(report: TrafficReport, frame: _Frame) -> Iterator[Markup]:
 
 def _tracks(tracks: Sequence[Track], frame: _Frame) -> Iterator[Markup]:
     faint = max(0.15, min(0.8, 40 / max(1, len(tracks))))
-    for one in tracks:
-        kind = 0 if one.category == VEHICLE_CATEGORY else 2 if one.category == PEDESTRIAN_CATEGORY else 1
-        path = frame.path(one.xy[thinned(one, ROAD_MAP_STYLE.step_s)])
-        tip = f"{one.class_name} {one.number}"
+    for track in tracks:
+        kind = 0 if track.category == VEHICLE_CATEGORY else 2 if track.category == PEDESTRIAN_CATEGORY else 1
+        path = frame.path(track.xy[thinned(track, ROAD_MAP_STYLE.step_s)])
+        tip = f"{track.class_name} {track.number}"
         yield tag("path", d=path, class_=f"track road-{kind}", stroke_opacity=f"{faint:.2f}", data_tip=tip)
 
 
 def _conflicts(report: TrafficReport, frame: _Frame) -> Iterator[Markup]:
-    for one in report.conflicts.conflicts[: ROAD_MAP_STYLE.most_conflicts]:
-        ((x, y),) = frame.points(one.place[None])
+    for conflict in report.conflicts.conflicts[: ROAD_MAP_STYLE.most_conflicts]:
+        ((x, y),) = frame.points(conflict.position[None])
         measures = [
             f"{name} {value:.1f} s"
-            for name, value in (("TTC", one.ttc_s), ("PET", one.pet_ssam_s))
+            for name, value in (("TTC", conflict.ttc_s), ("PET", conflict.pet_ssam_s))
             if not math.isnan(value)
         ]
-        tip = f"conflict at {one.time_s:.1f} s: {one.first.class_name} {one.first.number} and "
-        tip += f"{one.second.class_name} {one.second.number}, {one.kind}; {', '.join(measures)}"
+        tip = f"conflict at {conflict.time_s:.1f} s: {conflict.first.class_name} {conflict.first.number} and "
+        tip += f"{conflict.second.class_name} {conflict.second.number}, {conflict.kind}; {', '.join(measures)}"
         yield tag("circle", cx=f"{x:.1f}", cy=f"{y:.1f}", r=4, class_="road-3", data_tip=tip)
 
 
 def _gate(report: TrafficReport, frame: _Frame, name: str, line: Outline) -> Iterator[Markup]:
     """Yield a gate, its name and its counts."""
     (ax, ay), (bx, by) = frame.points(line)
-    told = [
-        (one.direction, one.count or 0, in_words(one.confidence_interval))
-        for one in report.counts_total
-        if one.gate == name and one.class_name == ALL_CLASSES
+    totals = [
+        (row.direction, row.count or 0, in_words(row.confidence_interval))
+        for row in report.counts_total
+        if row.gate == name and row.class_name == ALL_CLASSES
     ]
-    tip = f"{name}: " + "; ".join(f"{direction} {count} ({bounds})" for direction, count, bounds in told)
+    tip = f"{name}: " + "; ".join(f"{direction} {count} ({bounds})" for direction, count, bounds in totals)
     yield tag("path", d=f"M{ax:.1f} {ay:.1f}L{bx:.1f} {by:.1f}", class_="gate", data_tip=tip)
     x, y = (ax + bx) / 2, (ay + by) / 2
-    label = f"{name}: {' / '.join(str(count) for _, count, _ in told)}"
+    label = f"{name}: {' / '.join(str(count) for _, count, _ in totals)}"
     yield tag("text", label, x=f"{x:.1f}", y=f"{y - 8:.1f}", text_anchor="middle", class_="gate")
 
 
 def _bar(frame: _Frame) -> Markup:
     """Return the scale bar."""
     length = max(
-        one
-        for one in ROAD_MAP_STYLE.bars_m
-        if one * frame.scale < ROAD_MAP_STYLE.width / 4 or one == ROAD_MAP_STYLE.bars_m[0]
+        bar_m
+        for bar_m in ROAD_MAP_STYLE.bars_m
+        if bar_m * frame.scale < ROAD_MAP_STYLE.width / 4 or bar_m == ROAD_MAP_STYLE.bars_m[0]
     )
     x, y = ROAD_MAP_STYLE.margin / 2, frame.height - 10
     return tag("path", d=f"M{x} {y - 5}v5h{length * frame.scale:.1f}v-5", class_="scale") + tag(

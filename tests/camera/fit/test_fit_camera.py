@@ -18,7 +18,7 @@ from skope.camera.fit.bundle_adjustment import VehicleViews
 from skope.camera.fit.camera_doubts import rejection_reason, sigma_of_ways
 from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, PITCH, camera_of_unknowns
 from skope.camera.fit.fit_camera import CameraEstimate, Rival, fit_camera_to_vehicles
-from skope.camera.fit.write_camera import KnownLength, camera_figures, corrected, doubt, known_of
+from skope.camera.fit.write_camera import KnownLength, camera_figures, corrected, known_of, scale_error_line
 from skope.dataset import coco
 from skope.errors import UserError
 from skope.pose.shape_model import fleet_shapes
@@ -174,7 +174,7 @@ def test_intervals_of_a_camera_hold_90_percent() -> None:
     low, high = 1000 * math.exp(-1.645 * 0.05), 1000 * math.exp(1.645 * 0.05)
     assert lines[0] == f"focal length 1000 px (90%: {low:.0f} to {high:.0f})"
     assert "tilt down 20.00 deg (90%: 18.36 to 21.64)" in lines[1]
-    assert doubt("road", 0.1) == "road: all distances and speeds may be off by 16%, in one direction (90%)"
+    assert scale_error_line("road", 0.1) == "road: all distances and speeds may be off by 16%, in one direction (90%)"
 
 
 @pytest.mark.slow

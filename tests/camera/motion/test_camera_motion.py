@@ -68,7 +68,7 @@ def test_what_a_file_says_of_a_sway_is_checked() -> None:
     motion = CameraMotion({1: ImageMotion(1.5, 2, 0.001, 0.05, 1e-4)}, (3.0, 2.0, 0.004))
     read = CameraMotion.from_dict("v", json.loads(json.dumps(motion.to_dict())))
     assert read.frames == motion.frames
-    assert read.sway == motion.sway
+    assert read.shake_sigmas == motion.shake_sigmas
     for wrong in ({}, {"sway": [1, 1, 1], "frames": []}, {"sway": [1, 1], "frames": [[1, 0, 0, 0, 0, 0]]}):
         with pytest.raises(UserError, match=r"v: info\.camera_motion: expected sway"):
             CameraMotion.from_dict("v", wrong)

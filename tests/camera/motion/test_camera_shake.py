@@ -162,7 +162,7 @@ def test_a_sway_is_no_other_view_and_is_measured_from_its_middle(sway_px: float,
     found = np.array([(one.x, one.y) for one in motion.frames.values()])
     assert found - np.median(found, axis=0) == pytest.approx(np.array(shifts) - np.median(shifts, axis=0), abs=0.2)
     assert np.median(found, axis=0) == pytest.approx([0, 0], abs=1e-6)
-    assert motion.sway[0] == pytest.approx(np.std([x for x, _ in shifts]), rel=0.15)
+    assert motion.shake_sigmas[0] == pytest.approx(np.std([x for x, _ in shifts]), rel=0.15)
 
 
 def test_a_bump_is_told_to_the_frame_and_each_part_has_its_own_rest() -> None:
@@ -201,7 +201,7 @@ def test_frames_that_cannot_be_told_have_none() -> None:
     motion = replace(record, motions=moving).motion([])
     assert motion is not None
     assert motion.frames.keys() == {1, 3}
-    assert motion.sway == pytest.approx((3, 0, 0))
+    assert motion.shake_sigmas == pytest.approx((3, 0, 0))
 
 
 def write_video(path: Path, shifts: list[tuple[float, float]]) -> Path:

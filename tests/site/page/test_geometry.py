@@ -169,7 +169,7 @@ def test_marks_that_are_wrong_are_said_by_field_and_left_out() -> None:
     ]
     assert [point.name for point in marks.evidence.points] == ["4"]
     assert marks.entries["points"] == {"4": 3}
-    assert [belief.of for belief in marks.evidence.beliefs] == [("z",)]
+    assert [prior.of for prior in marks.evidence.priors] == [("z",)]
 
 
 def test_entries_without_names_are_numbered() -> None:

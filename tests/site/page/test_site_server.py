@@ -236,9 +236,9 @@ def test_a_lens_file_is_kept_as_evidence(serve: Serve) -> None:
     assert json.loads(ask(served, "/begin.json")[2])["document"]["known"] == {"lens": found["lens"]}
     calibration = read_site(served.path).calibration
     assert calibration is not None
-    (belief,) = calibration.evidence().beliefs
-    assert np.exp(belief.mean[0]) == pytest.approx(500)
-    assert belief.mean[1] == -0.1
+    (prior,) = calibration.evidence().priors
+    assert np.exp(prior.mean[0]) == pytest.approx(500)
+    assert prior.mean[1] == -0.1
     with_lens, without = (
         SolvedPage(SIZE).look(one)["camera"]["figures"][0] for one in (document, document | {"known": {}})
     )
