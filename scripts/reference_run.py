@@ -109,7 +109,7 @@ TRAININGS: Final = {
         after="varied",
         calibrated=True,
     ),
-    "road33": Training(after="world", stages=("1", "2", "3", "4"), calibrated=True),
+    "road33": Training(after="world", stages=("1", "2", "3", "4", "6"), calibrated=True),
     "lite": Training(stages=("lite-1", "lite-2"), calibrated=True),
 }
 
