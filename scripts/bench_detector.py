@@ -57,7 +57,7 @@ PART = 8
 
 
 def synthetic_split(rng: np.random.Generator, count: int) -> tuple[AnnotationFile, list[Result]]:
-    """Vehicles at random positions, of which 90% are detected with small errors, and one false detection per image."""
+    """Return vehicles at random positions, 90% of them detected with small errors, and a false detection per image."""
     images = tuple(Image(id=i, file_name=f"{i}.jpg", width=1920, height=1080) for i in range(count))
     annotations, results = [], []
     for image in images:

@@ -391,9 +391,9 @@ def run(options: argparse.Namespace) -> None:
         raise UserError(f"stage {stage.name} starts from weights: pass --state (the previous stage) or --init (others)")
     options.out.mkdir(parents=True, exist_ok=True)
     wanted = dict(stage.places)
-    learnt = list(wanted)
+    training_places = list(wanted)
     # Most rounds need more places than the round before, and need them earlier than the tests.
-    order = [*learnt[:TESTS_AFTER], *tests, *learnt[TESTS_AFTER:]]
+    order = [*training_places[:TESTS_AFTER], *tests, *training_places[TESTS_AFTER:]]
     wanted |= {name: test["places"] for name, test in tests.items()}
     places = Places(options.data, {name: placed(wanted[name], options.miniature) for name in order}, options.workers)
     try:
@@ -401,8 +401,8 @@ def run(options: argparse.Namespace) -> None:
         weights, number = start, 0
         learning_ends = end - MEASURING_S
         while (left := learning_ends - time.monotonic()) > LEAST_ROUND_S:
-            places.wait_for(learnt[:2], learning_ends)
-            here = places.wait_for(learnt, time.monotonic())
+            places.wait_for(training_places[:2], learning_ends)
+            here = places.wait_for(training_places, time.monotonic())
             left = learning_ends - time.monotonic()
             if not here or left <= 0:
                 break

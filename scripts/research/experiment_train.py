@@ -176,8 +176,8 @@ def measured(options: argparse.Namespace, name: str, seed: int) -> Row:
     device = choose_device(options.device)
     recipe, variant = recipe_of(options, name), VARIANTS[name]
     data = variant.images or (options.varied if variant.varied else options.data)
-    learnt = relabelled(data, variant.labels, folder / "data") if variant.labels else data
-    config = RunConfig(recipe=recipe, seed=seed, data=(str(learnt),), mix=None, max_images=options.max_images)
+    training_data = relabelled(data, variant.labels, folder / "data") if variant.labels else data
+    config = RunConfig(recipe=recipe, seed=seed, data=(str(training_data),), mix=None, max_images=options.max_images)
     console = Console()
     console.say(f"--- {name}, seed {seed}")
     checkpoint = loop.train(
@@ -196,7 +196,7 @@ def measured(options: argparse.Namespace, name: str, seed: int) -> Row:
 
     found = figures_on(options.data)
     if variant.measured_so:
-        found |= {f"{split}, its own boxes": row for split, row in figures_on(learnt).items()}
+        found |= {f"{split}, its own boxes": row for split, row in figures_on(training_data).items()}
     if options.varied:
         found |= {f"{split}, varied": row for split, row in figures_on(options.varied).items()}
     row = {"variant": name, "seed": seed, "splits": found, "recipe": recipe.to_dict()}

@@ -259,10 +259,10 @@ def beta_binomials(sides: Sequence[tuple[int, int, int]], prior: Sequence[float]
     def loss(logs: Array) -> float:
         a, b, c, d = np.exp(logs)
         total = 0.5 * float((((logs - middle) / PRIOR_SIGMA) ** 2).sum())
-        for true, untold, lost in sides:
-            k = np.arange(min(untold, lost) + 1, dtype=float)
+        for true, uncounted, lost in sides:
+            k = np.arange(min(uncounted, lost) + 1, dtype=float)
             log_terms = log_pmf(k, lost, c, d) + np.array(
-                [float(log_pmf(untold - crossed, true - int(crossed), a, b)) for crossed in k]
+                [float(log_pmf(uncounted - crossed, true - int(crossed), a, b)) for crossed in k]
             )
             total -= float(np.logaddexp.reduce(log_terms))
         return total
