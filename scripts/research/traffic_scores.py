@@ -684,7 +684,8 @@ def besides_rows(clip: ScoredClip, pairs: Mapping[int, int]) -> list[Row]:
     return rows
 
 
-NEAR_M: Final = 1.5
+TRACK_NEAR_M: Final = 1.5
+"""Largest distance between a track and its vehicle, metres."""
 MOST: Final = 0.6
 """Smallest share of a track's frames in which its vehicle must be near."""
 FEWEST: Final = 24
@@ -717,7 +718,7 @@ def pairs_of(folder: Path, true_keypoints: bool) -> Iterator[Pair]:
             present = at[round(float(time_s), 3)]
             away = [float(np.hypot(*(position - true_position))) for _, true_position in present]
             moments += bool(present)
-            if present and min(away) < NEAR_M:
+            if present and min(away) < TRACK_NEAR_M:
                 votes[present[int(np.argmin(away))][0]] += 1
         if votes and votes.most_common(1)[0][1] >= MOST * moments:
             length = truth[votes.most_common(1)[0][0]].length
