@@ -1,4 +1,4 @@
-// Elements, lists of terms and requests, as the scripts of all pages need them.
+// Elements, term lists and requests for the scripts of all pages.
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -9,7 +9,7 @@ function filled(made, attributes) {
   return made;
 }
 
-// An HTML element with a text, which is never read as markup.
+// An HTML element with a text that is never parsed as markup.
 export const text = (name, words = "", attributes = {}) =>
   filled(Object.assign(document.createElement(name), { textContent: words }), attributes);
 
@@ -29,7 +29,7 @@ export function terms(list, rows) {
   }));
 }
 
-// Shows words in the tip of the page; its corner is at a place of the window, moved as far as it has to be to be inside.
+// Shows text in the page's tooltip, with its corner at a position of the window; moved to stay inside the window.
 export function showTip(words, left, top) {
   const tip = byId("tip");
   tip.textContent = words;
@@ -44,12 +44,12 @@ export function hideTip() {
   byId("tip").hidden = true;
 }
 
-// The answer of the server that gave the page; an Error with its words where it refuses.
+// The server's answer; an Error with its message if it rejects the request.
 export async function get(path) {
   const answer = await fetch(path);
   if (!answer.ok) throw new Error(await answer.text());
   return answer;
 }
 
-// The key of an event as tables of keys name it: letters in lower case, however they were typed.
+// The key of an event, as in key tables: letters are in lower case.
 export const keyOf = ({ key }) => (key.length === 1 ? key.toLowerCase() : key);

@@ -1,8 +1,8 @@
-// What every report does: choices, layers, filters, tables that sort, and tips.
+// Behaviour of all reports: choices, layers, filters, sortable tables and tooltips.
 
 import { hideTip, showTip } from "./dom.js";
 
-// Which protocol's table is shown.
+// Choice of the protocol whose table is shown.
 for (const radio of document.querySelectorAll("input[name=protocol]")) {
   radio.addEventListener("change", () => {
     for (const panel of document.querySelectorAll("[data-protocol]")) panel.hidden = panel.dataset.protocol !== radio.value;
@@ -18,14 +18,14 @@ for (const box of document.querySelectorAll("input[data-layer]")) {
   show();
 }
 
-// Filters of a gallery: which images are shown, and of vehicles of one type only those.
+// Filters of a gallery: shown images, and vehicles of one type.
 for (const gallery of document.querySelectorAll(".gallery")) {
   const filters = [...gallery.querySelectorAll("select[data-filter]")];
   const show = () => {
     const wanted = filters.filter((f) => f.value).map((f) => [f.dataset.filter, f.value]);
     let count = 0;
     for (const figure of gallery.querySelectorAll("figure.photo")) {
-      // An image has several types of vehicles, and one of everything else.
+      // An image has several vehicle types, and one value of every other property.
       figure.hidden = !wanted.every(([key, value]) => (key === "type" ? figure.dataset.type.split(" ").includes(value) : figure.dataset[key] === value));
       count += !figure.hidden;
     }
@@ -46,7 +46,7 @@ for (const button of document.querySelectorAll("button.larger")) {
   });
 }
 
-// Tables sort by a column's numbers, or its text; a second time the other way round. What has no number goes last.
+// Tables sort by a column's numbers or text; a second click reverses the order. Cells without a number are last.
 const number = (cell) => (/^\s*[-+]?\d/.test(cell.textContent) ? parseFloat(cell.firstChild.textContent || cell.textContent) : NaN);
 for (const table of document.querySelectorAll("table.sortable")) {
   const heads = [...table.tHead.rows[0].cells];

@@ -1,7 +1,7 @@
-// A picture on a canvas with a drawing over it: how far it is zoomed and moved, and what fingers, mouse and wheel do to that.
+// A picture on a canvas with a drawing over it: zoom and position, changed by fingers, mouse and wheel.
 
-const LARGEST = 40; // screen pixels of a pixel of the picture, at most
-const DRAGGED_PX = 5; // a press that goes farther is a drag
+const LARGEST = 40; // maximum number of screen pixels per pixel of the picture
+const DRAGGED_PX = 5; // a longer movement is a drag
 
 export class Viewport {
   constructor(stage, canvas, svg) {
@@ -9,7 +9,7 @@ export class Viewport {
     this.shown = () => {};
   }
 
-  // Shows another picture, or none on an empty canvas, of a size; `keep` leaves zoom and place as they are.
+  // Shows another picture, or an empty canvas of a size; `keep` keeps zoom and position.
   show(picture, size, keep) {
     const other = size[0] !== this.size[0] || size[1] !== this.size[1];
     this.picture = picture;
@@ -31,7 +31,7 @@ export class Viewport {
     this.paint();
   }
 
-  // Larger by a factor, around a place of the stage; its middle unless one is given.
+  // Zooms by a factor around a position of the stage, by default its centre.
   zoom(factor, left = this.stage.clientWidth / 2, top = this.stage.clientHeight / 2) {
     const scale = Math.min(Math.max(this.scale * factor, this.least), LARGEST);
     this.x += left / this.scale - left / scale;
@@ -41,13 +41,13 @@ export class Viewport {
     this.move(0, 0);
   }
 
-  // The stage has another size: what was seen whole is so still.
+  // Adapts to a new size of the stage; a fully visible picture stays fully visible.
   resized() {
     if (this.whole) this.fit();
     else this.move(0, 0);
   }
 
-  // Moves the picture by pixels of the screen, as far as some of it stays in the stage.
+  // Moves the picture by screen pixels; part of it stays in the stage.
   move(right, down) {
     const [wide, high] = [this.stage.clientWidth / this.scale, this.stage.clientHeight / this.scale];
     const within = (value, shown, whole) => (shown >= whole ? (whole - shown) / 2 : Math.min(Math.max(value, -0.1 * shown), whole - 0.9 * shown));
@@ -56,13 +56,13 @@ export class Viewport {
     this.paint();
   }
 
-  // Position in the picture of a place on the screen.
+  // Position in the picture of a position on the screen.
   at({ clientX, clientY }) {
     const box = this.stage.getBoundingClientRect();
     return [(clientX - box.left) / this.scale + this.x, (clientY - box.top) / this.scale + this.y];
   }
 
-  // Brings a position into the stage where it is not.
+  // Moves a position into the stage if it is outside.
   reveal([x, y]) {
     const [wide, high] = [this.stage.clientWidth / this.scale, this.stage.clientHeight / this.scale];
     if (x >= this.x && x <= this.x + wide && y >= this.y && y <= this.y + high) return;
@@ -86,7 +86,7 @@ export class Viewport {
 
   paintInto(context, scale, x, y) {
     context.setTransform(scale, 0, 0, scale, -x * scale, -y * scale);
-    context.imageSmoothingEnabled = scale < this.squares; // beyond it pixels are seen as squares
+    context.imageSmoothingEnabled = scale < this.squares; // from this scale on, pixels are drawn as squares
     if (this.picture) context.drawImage(this.picture, 0, 0, ...this.size);
     else {
       context.fillStyle = "#d8d8d8";
@@ -95,8 +95,8 @@ export class Viewport {
   }
 }
 
-// Moves and zooms a viewport: by dragging, by two fingers, by the wheel. Pages that do more with a press extend it:
-// `begin` says what one does, `go` and `end` are told of all but moving the picture.
+// Moves and zooms a viewport by dragging, two fingers or the wheel. Pages with further gestures extend it:
+// `begin` returns the action of a press; `go` and `end` receive all actions except moving the picture.
 export class Gestures {
   constructor(stage, viewport) {
     Object.assign(this, { stage, viewport, pressed: new Map(), action: null });
@@ -108,7 +108,7 @@ export class Gestures {
     on("wheel", "turn", { passive: false });
   }
 
-  // What a press does; anything but "move" is for `go`.
+  // Action of a press; all except "move" go to `go`.
   begin() {
     return { does: "move" };
   }
@@ -154,7 +154,7 @@ export class Gestures {
     this.viewport.move((event.clientX - before.clientX) / 2, (event.clientY - before.clientY) / 2);
   }
 
-  // A pointer has left; returns what it did, unless that is over or was a pinch.
+  // Ends a pointer; returns its action, unless it has ended or was a pinch.
   left(event) {
     this.pressed.delete(event.pointerId);
     this.stage.classList.remove("moving");

@@ -1,14 +1,14 @@
-// All images of a collection, one at a time. Whatever a file says gets into the page as text or as numbers of a drawing.
+// Viewer for the images of a collection, one at a time. Contents of files enter the page only as text or as numbers of a drawing.
 
 import { byId, element, get, hideTip, keyOf, showTip, terms, text } from "./dom.js";
 import { Gestures, Viewport } from "./viewport.js";
 
-const STEPS = 1000; // of a score, as the server counts
-const KEPT = 9; // images with their vehicles: the one that is shown, its neighbours, and the last ones
+const STEPS = 1000; // steps of a score from 0 to 1, as on the server
+const KEPT = 9; // number of cached images with their vehicles: the current one, its neighbours and the latest ones
 const UNSURE = 0.5; // predicted keypoints below this probability are rings
-const NEAR_PX = 8; // on the screen, for pointing at a keypoint
-const SWIPED_PX = 50; // a finger that goes farther sideways turns the page
-const REST_MS = 150; // so long a threshold, or an image, has to stay before what takes time is done
+const NEAR_PX = 8; // distance on the screen within which a keypoint is hit
+const SWIPED_PX = 50; // sideways distance of a swipe to the next image
+const REST_MS = 150; // time that a threshold or image must stay before slow work starts
 
 const LAYERS = [
   { name: "box", key: "b", words: "boxes" },
@@ -34,11 +34,11 @@ const stage = byId("stage");
 const canvas = byId("canvas");
 const drawing = byId("drawing");
 const viewport = Object.assign(new Viewport(stage, canvas, drawing), { squares: Infinity });
-let index; // what the server has of all images
-let scores = null; // what detections above the threshold are worth, image by image
+let index; // the server's index of all images
+let scores = null; // score of the detections above the threshold, per image
 let threshold = 0; // of scores, in steps
-let order = []; // numbers of the images that pass the filters, in the order in which they are shown
-let at = 0; // place in `order`
+let order = []; // numbers of the images that pass the filters, in display order
+let at = 0; // position in `order`
 let shown = null; // { number, details, bitmap, problem } of the image in the stage
 let direction = 1;
 const filters = { show: "all", order: "file", facets: {}, qualities: {} };
@@ -50,8 +50,8 @@ async function fetched(number) {
   return { number, ...picture, details: await details.json() };
 }
 
-// The picture of an image as a bitmap, or in its place what is wrong with it. A bitmap is given back when it is no
-// longer needed: what <img> shows, browsers keep by the hundred.
+// Pixels of an image as a bitmap, or the reason why it is missing. A bitmap is released when it is no
+// longer needed, because browsers keep hundreds of <img> pictures.
 async function pictureOf(number) {
   let blob;
   try {
@@ -62,7 +62,7 @@ async function pictureOf(number) {
   }
 }
 
-const kept = new Map(); // number of an image -> promise of it; those that were wanted last stand last
+const kept = new Map(); // image number -> promise of the image; the most recently used ones are last
 
 function load(number) {
   const loading = kept.get(number) || fetched(number);
@@ -80,9 +80,9 @@ function load(number) {
 // --------------------------------------------------------------------------------------------------------- paging
 
 let turning = false;
-let resting; // the timer of an image that stays
+let resting; // timer for an image that stays
 
-// Shows the image at `at`; whatever is asked for meanwhile comes next, and what lies between is left out.
+// Shows the image at `at`. Of further requests in the meantime, only the last one follows.
 async function turn() {
   if (turning) return;
   turning = true;
@@ -162,7 +162,7 @@ function draw() {
     element("g", { class: "ignored" }, ...[...ignored, ...others.filter((v) => v.ignored)].map((v) => box(v.box))),
     element("g", { class: "others own" }, ...others.filter((v) => !v.ignored).map(otherGroup)),
     element("g", { class: predicted ? "truth" : "truth own" }, ...truth.map((v) => vehicleGroup(v, missed(v)))),
-    // The surest lie on top.
+    // The highest scores are on top.
     element("g", { class: "found" }, ...found.map((d) => detectionGroup(d)).reverse()),
     element("g", { class: "wrong" }, ...failures(truth, found, detections)),
   ];
@@ -193,7 +193,7 @@ function detectionGroup(detection) {
   return group;
 }
 
-// A box with its keypoints: dots where they are sure, rings where they are not; small ones in small boxes.
+// A box with its keypoints: dots if certain, rings if not; smaller in small boxes.
 function pointsGroup(vehicle, keypoints, placed, sure, joined) {
   const size = Math.min(Math.max(Math.max(vehicle.box[2], vehicle.box[3]) / 100, 0.3), Math.max(1, shown.details.size[0] / 640));
   const r = 1.6 * size;
@@ -211,7 +211,7 @@ function pointsGroup(vehicle, keypoints, placed, sure, joined) {
   return group;
 }
 
-// Words at vehicles that were missed and detections that are false, and lines from wrong keypoints to their places.
+// Labels of missed vehicles and false detections, and lines from wrong keypoints to their true positions.
 function failures(truth, found, detections) {
   if (!index.truth) return [];
   const out = [];
@@ -279,7 +279,7 @@ function switches() {
 
 // -------------------------------------------------------------------------------------------------------- filters
 
-// Places of a kind's number in the values of each quality.
+// Indices of a kind's number in the values of each quality.
 function places(kind) {
   const out = [];
   for (const { values } of [...index.qualities].reverse()) {
@@ -289,7 +289,7 @@ function places(kind) {
   return out;
 }
 
-// Whether the filters of vehicles let one of this kind through.
+// Whether the vehicle filters accept this kind.
 function isWanted(kind) {
   const found = places(kind);
   return index.qualities.every(({ name }, i) => filters.qualities[name] === undefined || filters.qualities[name] === found[i]);
@@ -347,7 +347,7 @@ function controls() {
     select("order", [["file", "as in the file"], ["worst", "worst first"]], (value) => {
       filters.order = value;
       at = 0;
-      order = []; // from the worst one on
+      order = []; // worst first
     });
   }
   if (index.score !== null) thresholds();
@@ -411,7 +411,7 @@ document.addEventListener("keydown", (event) => {
   action(event);
 });
 
-// What lies at a position of the image: the nearest keypoint, and the smallest box around it.
+// Nearest keypoint and smallest box at a position of the image.
 function under(x, y, near) {
   const { vehicles, others, detections } = shown.details;
   const on = (layer) => !stage.classList.contains("no-" + layer);
@@ -447,7 +447,7 @@ function wordsOf(one) {
   return [`detection, score ${one.score.toFixed(2)}`, one.false ? "false" : "", one.words].filter(Boolean).join(", ");
 }
 
-// What is known of a place is told where it is pointed at; a finger that goes sideways over the whole image turns the page.
+// Pointing at a position shows its details. A swipe over the whole image turns the page.
 class Looking extends Gestures {
   begin(event) {
     this.hover(event);
@@ -477,7 +477,7 @@ stage.addEventListener("pointerleave", hideTip);
 addEventListener("scroll", hideTip, { passive: true });
 new ResizeObserver(() => viewport.resized()).observe(stage);
 
-// Texts and their rims keep their size on the screen.
+// Texts and their outlines keep their size on the screen.
 let drawnAt = 1;
 viewport.shown = () => {
   stage.classList.toggle("enlarged", !viewport.whole);

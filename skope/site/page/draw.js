@@ -1,20 +1,20 @@
-// What lies over the picture, as SVG: marks with their handles, the camera's grid on the road, gates, zones and lanes.
+// SVG drawing over the picture: marks with handles, the camera's grid on the road, gates, zones and lanes.
 
 import { element } from "./dom.js";
 import { DRAWN, KINDS, MARKED, inImage, ofSize, positionsOf } from "./marks.js";
 
 const line = (positions, closed) => positions.length > 1 ? "M" + positions.map((p) => p.join(" ")).join("L") + (closed ? "Z" : "") : "";
 const lines = (polylines) => polylines.map((positions) => line(positions)).join("");
-// A position, or null where what was typed for it is no number.
+// A position; null if its input is not a number.
 const numbers = (position) => (position && position.every((value) => Number.isFinite(value)) ? position : null);
 const known = (positions) => positions.filter(Boolean);
 
-// A line and, below it, its dark rim.
+// A line with a dark outline below it.
 function rimmed(d, kind) {
   return d ? [element("path", { class: "rim", d }), element("path", { class: kind, d })] : [];
 }
 
-// Where each handle of an entry is in the view that is shown, null where that is not known or not in this view.
+// Position of each handle of an entry in the current view; null if unknown or outside this view.
 export function handlesOf(kind, index, entry, page) {
   const dragged = page.dragged;
   const own = dragged && dragged.kind === kind && dragged.index === index;
@@ -37,7 +37,7 @@ function placesOf(kind, index, entry, { view, look }) {
 
 const shapeOf = (look, kind, index) => look && look.shapes.find((one) => one.kind === kind && one.index === index);
 
-// Draws everything anew; the handle that had the focus has it again.
+// Redraws everything; the focused handle keeps the focus.
 export function redraw(svg, shown) {
   const { x, width } = svg.viewBox.baseVal;
   const page = { ...shown, right: x + width, taken: [], labels: [] };
@@ -61,10 +61,10 @@ function ofCamera(page) {
   if (layers.grid) {
     out.push(element("path", { class: "grid", d: lines(drawn.grid) }), ...rimmed(lines(drawn.horizon), "horizon"));
     const names = namesOf(page).map((name) => boxOf(name, unit));
-    let above = Infinity; // far away, labels would lie on one another
+    let above = Infinity; // far away, labels would overlap
     for (const { at, text } of drawn.labels) {
       const place = [at[0] + 4 * unit, at[1] - 3 * unit];
-      // With a mark's name on it, "10 m" would be read as something else.
+      // Together with a mark's name, "10 m" would be misread.
       if (above - at[1] < 17 * unit || names.some((name) => meet(name, boxOf({ at: place, text }, unit)))) continue;
       above = at[1];
       out.push(words({ at: place, text }, unit));
@@ -103,7 +103,7 @@ function ofEntry(kind, index, entry, page) {
   return group;
 }
 
-// Where the name of an entry stands, and what it is; null where it has none. At the right edge it stands on the left.
+// Position and text of an entry's label; null if it has none. At the right edge the label is on the left.
 function nameOf(places, entry, { unit, layers, right }) {
   const first = known(places)[0];
   if (!first || !layers.names || !entry.name) return null;
@@ -115,15 +115,15 @@ function nameOf(places, entry, { unit, layers, right }) {
 const namesOf = (page) =>
   known([...DRAWN, ...MARKED].flatMap((kind) => page.document[kind].map((entry, index) => nameOf(handlesOf(kind, index, entry, page), entry, page))));
 
-// Left, top, right and bottom of a label, about.
+// Approximate left, top, right and bottom of a label.
 function boxOf({ at: [x, y], text, anchor }, unit) {
   const width = 8 * unit * text.length;
   const left = x - width * ({ middle: 0.5, end: 1 }[anchor] || 0);
   return [left, y - 11 * unit, left + width, y + 2 * unit];
 }
 
-// Adds a label over all lines and handles: where it would lie on others a line lower or higher, or not at all, but that
-// of the chosen entry is always shown.
+// Adds a label over all lines and handles. If it would overlap others, it moves a line down or up, or is left out. The label
+// of the selected entry is always shown.
 function addLabel(kind, label, page, always) {
   const [x, y] = label.at;
   const tried = [0, 15, -15].map((down) => ({ ...label, at: [x, y + down * page.unit] }));
@@ -148,7 +148,7 @@ function handle(kind, index, part, [x, y], entry, page) {
   ];
 }
 
-// From where a point was marked to where the camera sees its place, ten times as long as it is.
+// Residual of a point, from the mark to its projection, enlarged ten times.
 function residual(group, index, page) {
   const result = page.residualOf("points", index);
   const entry = page.document.points[index];
@@ -174,7 +174,7 @@ function arrows(group, kind, always, entry, polylines, page) {
   });
 }
 
-// The label beyond the end of an arrow, so that they do not lie on it or on the line that it leaves.
+// Position of a label beyond the end of an arrow, off the arrow and its line.
 function beyond([x, y], angle, text, unit) {
   const [across, down] = [Math.cos(angle), Math.sin(angle)];
   const anchor = across > 0.4 ? "start" : across < -0.4 ? "end" : "middle";

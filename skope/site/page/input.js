@@ -1,4 +1,4 @@
-// Input by mouse, pen, fingers and keys on the picture: mark, drag handles, move and zoom, a cross-hair for the keyboard.
+// Input by mouse, pen, fingers and keys: marking, dragging handles, moving, zooming, and a cross-hair for the keyboard.
 
 import { keyOf } from "./dom.js";
 import { handlesOf } from "./draw.js";
@@ -7,8 +7,8 @@ import { Gestures } from "./viewport.js";
 
 const NEAR_PX = { mouse: 9, pen: 14, touch: 24 }; // distance within which a press takes a handle
 
-// `now` is what the page is at, `page` gives what is drawn; `does` has `mark`, `put`, `choose`, `ended` (a second press of
-// two), `tell` and `draw`, and `grabs`, whether handles can be taken at this moment.
+// `now` is the page's state, `page` returns what is drawn; `does` has `mark`, `put`, `choose`, `ended` (second press of
+// two), `tell`, `draw`, and `grabs` (whether handles can be dragged now).
 export class Pointer extends Gestures {
   constructor(stage, viewport, now, page, does) {
     super(stage, viewport);
@@ -21,7 +21,7 @@ export class Pointer extends Gestures {
     this.now.cursor = null;
     this.now.byTouch = touch;
     const free = this.does.grabs();
-    // A finger is as wide as marks are apart on a phone: while it marks, it takes no handle along.
+    // On a phone, a finger is as wide as the distance between marks: marking does not drag handles.
     const marks = touch && this.now.tool !== "select";
     const grabbed = free && !marks ? this.nearest(event) : null;
     const does = grabbed ? "drag" : marks || (touch && !free) ? "aim" : "move";
@@ -30,7 +30,7 @@ export class Pointer extends Gestures {
     return { does, grabbed };
   }
 
-  // Two fingers, or a pointer that the browser takes away.
+  // Two fingers, or a pointer that the browser cancels.
   interrupted() {
     this.viewport.unmagnify();
     this.now.dragged = null;
@@ -38,13 +38,13 @@ export class Pointer extends Gestures {
     this.does.draw();
   }
 
-  // The handle that is meant by a press, with how far beside it that was.
+  // The handle nearest to a press, with its distance.
   nearest(event) {
     const [x, y] = this.viewport.at(event);
     let best = (NEAR_PX[event.pointerType] || NEAR_PX.mouse) / this.viewport.scale;
     let found = null;
     const page = this.page();
-    // While something is drawn, only handles of its kind are in the way: a lane may begin at a marked point.
+    // During drawing, only handles of the same kind react: a lane may begin at a marked point.
     for (const kind of page.tool === "select" ? [...MARKED, ...DRAWN] : [page.tool]) {
       page.document[kind].forEach((entry, index) => {
         handlesOf(kind, index, entry, page).forEach((place, part) => {
@@ -97,17 +97,17 @@ export class Pointer extends Gestures {
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const FIELDS = "input:not([type=range]):not([type=checkbox]):not([type=file]), select, textarea";
-const CROSSHAIR_STEP = 2; // cells by which an arrow key moves a mark in the view from above
+const CROSSHAIR_STEP = 2; // cells per press of an arrow key in the view from above
 
-// Which handle an element is, as { kind, index, part }; null where it is none.
+// The handle of an element as { kind, index, part }; null if it is none.
 export function handleOf({ dataset }) {
   if (!dataset || !dataset.handle) return null;
   const [kind, index, part] = dataset.handle.split(":");
   return { kind, index: Number(index), part: Number(part) };
 }
 
-// `now`, `page` and `does` are as Pointer has them; `does` has `save`, `step`, `cancel`, `remove`, `setTool`, `finish` and
-// `help`, too.
+// `now`, `page` and `does` as in Pointer; `does` also has `save`, `step`, `cancel`, `remove`, `setTool`, `finish` and
+// `help`.
 export class Keys {
   constructor(stage, viewport, now, page, does) {
     Object.assign(this, { stage, viewport, now, page, does });
@@ -138,7 +138,7 @@ export class Keys {
 
   chord(event, key, typing) {
     const { does } = this;
-    if (key === "s") event.preventDefault(), event.target.blur?.(), setTimeout(does.save); // after what is being typed
+    if (key === "s") event.preventDefault(), event.target.blur?.(), setTimeout(does.save); // after the pending input
     else if (!typing && key === "z") event.preventDefault(), does.step(event.shiftKey ? "redo" : "undo");
     else if (!typing && key === "y") event.preventDefault(), does.step("redo");
   }

@@ -1,9 +1,9 @@
-// What can be marked and drawn: its kinds and fields, what clicks and fields do to the document, and its history.
+// Kinds of marks and drawings, their fields, edits of the document by clicks and fields, and its history.
 
 import { byId } from "./dom.js";
 import { post } from "./server.js";
 
-// Which positions an entry has are pairs of numbers; kinds of the world have them in metres, the others in pixels.
+// Positions of an entry are pairs of numbers, in metres for kinds of the world, otherwise in pixels.
 export const KINDS = {
   points: { word: "Point", key: "p", count: 1, hint: "Click a point with a known position: the corner of a marking, a kerb, a manhole." },
   lengths: { word: "Length", key: "l", count: 2, hint: "Click both ends of a known length on the road." },
@@ -14,7 +14,7 @@ export const KINDS = {
   lanes: { word: "Lane", key: "n", open: true, world: true, hint: "Click along the middle of a lane in its driving direction; Enter or Finish ends it." },
   occluders: { word: "Occluder", key: "o", open: true, hint: "Click around what hides traffic: a tree, a sign; Enter or Finish closes it." },
 };
-// Limits of the server's parser: values of fields that are empty, letters of a name.
+// Limits of the server's parser: values of empty fields, length of a name.
 export const LIMITS = {};
 
 export function setLimits(limits) {
@@ -29,7 +29,7 @@ const round = (value, digits) => Number(value.toFixed(digits));
 const pixel = ([x, y]) => [round(x, 1), round(y, 1)];
 const metres = ([x, y]) => [round(x, 3), round(y, 3)];
 
-// The positions of an entry, in the order of its handles; null where one is not known.
+// Positions of an entry in the order of its handles; null if unknown.
 export function positionsOf(kind, entry) {
   if (kind === "points") return [entry.pixel];
   if (kind === "parallels") return entry.lines.flat();
@@ -38,10 +38,10 @@ export function positionsOf(kind, entry) {
   return entry.pixels || entry.line || entry.polygon;
 }
 
-// Whether an entry is a gate that has its ends in the image. Its line on the road follows from the camera.
+// Whether an entry is a gate with its ends in the image. The camera gives its line on the road.
 export const inImage = (kind, entry) => kind === "gates" && Boolean(entry.pixels);
 
-// Whether the pixels of a gate are those of an image of this size; the server has scaled them where it can.
+// Whether the pixels of a gate refer to an image of this size; the server scales them if possible.
 export const ofSize = ({ size }, [width, height]) => Boolean(size) && size[0] === width && size[1] === height;
 
 export function setPosition(kind, entry, part, position) {
@@ -51,12 +51,12 @@ export function setPosition(kind, entry, part, position) {
   else if (kind === "occluders" && part === entry.polygon.length) entry.foot = position;
   else if (inImage(kind, entry)) {
     entry.pixels[part] = position;
-    delete entry.line; // of where it was before
+    delete entry.line; // of the earlier position
   }
   else (entry.line || entry.polygon)[part] = position;
 }
 
-// Moves a gate on the road: its ends are metres from now on. `places` are where its ends are now.
+// Moves a gate on the road: from now on its ends are in metres. `places` are the present ends.
 function setOnRoad(entry, places, part, position) {
   entry.line = structuredClone(places);
   entry.line[part] = position;
@@ -64,7 +64,7 @@ function setOnRoad(entry, places, part, position) {
   delete entry.size;
 }
 
-// A new entry of positions that were clicked, with a name that no other one has. `size` is that of the image, where a gate
+// A new entry at the clicked positions, with a unique name. `size` is the size of the image if a gate
 // was drawn in it.
 function made(kind, positions, entries, size = null) {
   if (kind === "points") return { name: freeName("", entries), pixel: positions[0], place: [null, null, 0] };
@@ -85,7 +85,7 @@ function freeName(begin, entries) {
   return begin + number;
 }
 
-// The fields of an entry: the way to the value in the document, the name under which the server finds fault with it, words.
+// Fields of an entry: path of the value in the document, name in the server's messages, label.
 export function fieldsOf(kind, entry) {
   const at = (way, name, words, unit = "") =>
     [0, 1].map((axis) => ({ way: [...way, axis], name, words: `${words} ${"xy"[axis]}${unit}`, half: Boolean(unit) }));
@@ -120,7 +120,7 @@ export function setValue(entry, way, value) {
   else holder[last] = value;
 }
 
-// What was typed as a number, nothing as null, and anything else as the text that it is: the server says what is wrong.
+// Input as a number, empty input as null, other input as text, which the server rejects with a message.
 export function typed(text) {
   const plain = text.trim().replace(/^([-+]?[0-9]*),([0-9]+)$/, "$1.$2");
   if (plain === "") return null;
@@ -130,10 +130,10 @@ export function typed(text) {
 
 // ------------------------------------------------------------------------------------------------------------- history
 
-// The document as it is, was, and was again: every change makes a new one, so that each step can be gone back.
+// The document with its undo and redo steps; every change makes a new document.
 
 const KEPT = 200;
-const SAME_MS = 800; // changes of the same thing in a row are one step
+const SAME_MS = 800; // consecutive changes of the same value are one step
 
 export class History {
   constructor(document) {
@@ -143,7 +143,7 @@ export class History {
     this.last = { of: null, when: 0 };
   }
 
-  // Changes a copy of the document; `of` names what is changed, so that moving it on does not make further steps.
+  // Changes a copy of the document; `of` names the changed value, so that dragging it is one step.
   change(edit, of = null) {
     const next = structuredClone(this.document);
     edit(next);
@@ -177,16 +177,16 @@ export class History {
 
 // ------------------------------------------------------------------------------------------------------------- marking
 
-// Clicks on the picture: begin, continue and end a mark or drawing of the chosen tool.
+// Clicks on the picture: begin, continue and end a mark or drawing of the selected tool.
 
 export class Marking {
-  // `now` is what the page is at; `views` what the stage shows; `does` has `document`, `change`, `refresh`, `trouble`,
+  // `now` is the page's state, `views` the contents of the stage; `does` has `document`, `change`, `refresh`, `trouble`,
   // `placesOf`, `onRoad` (the ends of a gate in metres), `choose` and `placeOnPlan`.
   constructor(now, views, does) {
     Object.assign(this, { now, views, does });
   }
 
-  // Drops what is half drawn.
+  // Discards the unfinished drawing.
   drop() {
     Object.assign(this.now, { pending: [], hover: null, group: null, picking: null });
   }
@@ -198,7 +198,7 @@ export class Marking {
     this.does.refresh();
   }
 
-  // Takes a tool, and shows the image where it can be used there alone.
+  // Selects a tool; shows the image if the tool works only there.
   chooseTool(name) {
     this.setTool(name);
     if (KINDS[name] && !KINDS[name].world && this.views.name !== "image") this.views.show("image");
@@ -250,14 +250,14 @@ export class Marking {
     else if (!now.byTouch) typeNext(kind, now.selected.index);
   }
 
-  // The second press of two ends what is drawn; it is no further position.
+  // The second press of a double press ends the drawing; it adds no position.
   ended() {
     if (!this.now.pending.length || !KINDS[this.now.tool].open) return;
     this.now.pending = this.now.pending.slice(0, -1);
     this.finish();
   }
 
-  // The place of a point was clicked on the plan.
+  // Handles a click on the plan for the position of a point.
   place(position) {
     const index = this.now.picking;
     this.now.picking = null;
@@ -300,7 +300,7 @@ export class Marking {
     this.does.refresh();
   }
 
-  // The plan has its scale: places that are missing are clicked there, others in the image.
+  // Once the plan has a scale, missing positions are clicked there, others in the image.
   async placed() {
     const { points } = this.does.document();
     const missing = points.findIndex(({ place: [x, y] }) => x === null || y === null);
@@ -309,7 +309,7 @@ export class Marking {
     if ((this.now.tool === "select" || !points.length) && missing < 0) this.setTool("points");
   }
 
-  // Says what lies at a position of the view.
+  // Reports what is at a position of the view.
   tell(position, errors) {
     const [x, y] = position;
     const view = this.views.current;
@@ -327,23 +327,23 @@ export class Marking {
   }
 }
 
-// The fields of a new mark are scrolled into view, and that of its position or length gets the focus. Not after touch,
+// Scrolls to the fields of a new mark and focuses its position or length. Not after touch,
 // because a keyboard would cover the picture.
 function typeNext(kind, index) {
   const way = { points: "place.0", lengths: "metres" }[kind];
   if (way) document.querySelector(`[data-focus="${kind}:${index}:${way}"]`)?.focus({ preventScroll: true });
   const [row, list] = [document.querySelector(`[data-focus="${kind}:${index}"]`)?.closest("li"), document.querySelector("aside")];
-  // The list alone is moved, where it is beside the picture: the picture stays where it is.
+  // If the list is beside the picture, only the list scrolls.
   if (row) list.scrollTop += Math.max(0, row.getBoundingClientRect().bottom - list.getBoundingClientRect().bottom);
 }
 
 // --------------------------------------------------------------------------------------------------------------- edits
 
-// What fields and buttons of the lists do to the document.
+// Edits of the document by fields and buttons of the lists.
 
 const USUAL_SHARE = 0.02; // default relative standard deviation of prior values
 
-// `now` is what the page is at; `does` has `document`, `change` and `refresh`.
+// `now` is the page's state; `does` has `document`, `change` and `refresh`.
 export function edits(now, does) {
   const { change } = does;
   return {
@@ -354,7 +354,7 @@ export function edits(now, does) {
       Object.assign(now, { selected: null, group: null, picking: null });
       change((all) => all[kind].splice(index, 1));
     },
-    // A place as maps on the web give it, in degrees; it is kept in metres.
+    // A position in degrees, as web maps give it; stored in metres.
     async fromMap(index, typed) {
       if (!typed.trim()) return;
       const { points, world } = does.document();
@@ -388,7 +388,7 @@ export function edits(now, does) {
   };
 }
 
-// Puts what a file holds into the document; returns words to the user.
+// Puts the contents of a file into the document; returns a message.
 export async function loadFile(file, does) {
   const found = await post("/read", { name: file.name, text: await file.text() });
   const { points, world } = does.document();
@@ -413,11 +413,11 @@ const ROAD = DRAWN.filter((kind) => KINDS[kind].world);
 
 export class MovedDrawings {
   constructor() {
-    this.before = new Map(); // by kind and name: metres of the corners, and where the camera showed them
+    this.before = new Map(); // by kind and name: corners in metres and their pixels
   }
 
-  // Compares with how drawings were seen when they were drawn, or last agreed to; new ones are remembered.
-  // Returns { entries, most }: which have moved, and by how many pixels at most.
+  // Compares drawings with their pixels when they were drawn or last accepted; stores new ones.
+  // Returns { entries, most }: the moved drawings, and the largest shift in pixels.
   compare(document, look) {
     const entries = [];
     let most = 0;
@@ -435,11 +435,11 @@ export class MovedDrawings {
       entries.push({ kind, index, corners: then.corners });
       most = Math.max(most, away);
     }
-    if (look.camera) this.before = seen; // without a camera nothing is seen anywhere
+    if (look.camera) this.before = seen; // without a camera no drawing has pixels
     return { entries, most };
   }
 
-  // What is seen now is as it should be.
+  // Accepts the present positions.
   agree() {
     this.before = new Map();
   }

@@ -1,12 +1,12 @@
-// What the page has around the picture: tools, layers, lists of entries with their fields, figures of the camera, advice.
+// Panels around the picture: tools, layers, lists of entries with fields, figures of the camera, advice.
 
 import { byId, terms, text } from "./dom.js";
 import { DRAWN, KINDS, LIMITS, MARKED, MovedDrawings, fieldsOf, inImage, setPosition, setValue, typed, valueAt } from "./marks.js";
 import { post } from "./server.js";
 import { CLASSES, COLORS } from "./picture.js";
 
-// Fills the lists anew; the field that had the focus, and what is being typed into it, stay. Where the page is narrow,
-// the fields of what is chosen are in the sheet right below the picture, not in the list far down.
+// Refills the lists; the focused field and its input stay. On a narrow page,
+// the fields of the selected entry are in a sheet below the picture, not in the list.
 export function fill({ marks, road, sheet, narrow }, page, act) {
   const active = document.activeElement;
   const focused = active && active.dataset && active.dataset.focus;
@@ -62,7 +62,7 @@ function row(kind, index, entry, page, act) {
   return item;
 }
 
-// Leave-one-out error of this point, next to its 90% bound: the honest test of a map.
+// Leave-one-out error of this point, next to its 90% bound: the test of a map.
 function byOthers([error, stated]) {
   const words = `by the others ${short(error)} off (stated: ${short(stated)})`;
   return text("p", words, { class: error > stated ? "others bad" : "others" });
@@ -70,7 +70,7 @@ function byOthers([error, stated]) {
 
 const short = (m) => `${m < 10 ? m.toFixed(2) : m.toFixed(0)} m`;
 
-// The name, with the word for what it is unless that begins it already.
+// The name, preceded by its kind unless it begins with it.
 function title(kind, index, { name }) {
   const { word } = KINDS[kind];
   return name && name.toLowerCase().startsWith(word.toLowerCase()) ? name : `${word} ${name || index + 1}`;
@@ -101,7 +101,7 @@ function form(kind, index, entry, page, act) {
     const value = valueAt(entry, field.way);
     const edit = (input) => act.edit(kind, index, (one) => {
       setValue(one, field.way, field.text ? input.value : typed(input.value));
-      if (inImage(kind, one) && field.way[0] === "pixels") delete one.line; // of where it was before
+      if (inImage(kind, one) && field.way[0] === "pixels") delete one.line; // of the earlier position
     });
     field.input = labelled(made, `${kind}:${index}:${field.way.join(".")}`, field, value, edit);
     const empty = problems.find((one) => one.field === field.name && one.missing);
@@ -129,7 +129,7 @@ function form(kind, index, entry, page, act) {
   return made;
 }
 
-// A field with its words; `edit` is given it when something else was typed.
+// A field with its label; `edit` receives it when its input changes.
 function labelled(box, focus, { words, wide, two, half, text: plain, usual, name, list }, value, edit) {
   const label = text("label", words, { class: wide ? "wide" : two ? "two" : half ? "half" : "" });
   const input = text("input", "", { "data-focus": focus, "data-name": name, autocomplete: "off" });
@@ -141,7 +141,7 @@ function labelled(box, focus, { words, wide, two, half, text: plain, usual, name
   input.dataset.was = input.value;
   input.addEventListener("change", () => {
     input.dataset.was = input.value;
-    // The list is made anew by a change: only after Tab has led on, so that it finds where to.
+    // A change rebuilds the list: only after Tab has moved the focus.
     setTimeout(() => edit(input));
   });
   label.append(input);
@@ -155,7 +155,7 @@ const FOOTAGE = [
   { name: "start", words: "begins at", usual: "2026-11-26 10:00:00" },
 ];
 
-// What is known of the camera before anything is marked: a value, and how exactly it is known.
+// Prior values of the camera: a value and its accuracy.
 export function known(box, page, act) {
   plain(box, (made) => {
     for (const [name, words] of KNOWN) {
@@ -173,7 +173,7 @@ export function known(box, page, act) {
   });
 }
 
-// When the footage was taken.
+// Start time of the footage.
 export function footage(box, page, act) {
   plain(box, (made) => {
     for (const field of FOOTAGE) {
@@ -194,7 +194,7 @@ function tellOf(kind, name, box, page) {
   box.append(text("p", problem.text, { class: "wrong", id }));
 }
 
-// Fills a box anew, but leaves what is being typed there, and the focus, where they are.
+// Refills a box; the focus and unfinished input stay.
 function plain(box, fillIn) {
   const active = box.contains(document.activeElement) ? document.activeElement : null;
   if (active && active.dataset.was !== active.value && active.dataset.was !== undefined) return;
@@ -221,7 +221,7 @@ function figures(list, summary, camera) {
 
 // ------------------------------------------------------------------------------------------------------------ controls
 
-// What the page has around the picture and never changes: the tools' buttons, layers, the legend, the list of keys.
+// Fixed parts around the picture: tool buttons, layers, legend, list of keys.
 
 const LAYERS = [
   ["errors", "how well places are known"],
@@ -245,7 +245,7 @@ const KEYS = [
   ...Object.values(KINDS).map(({ key, word }) => [key.toUpperCase(), word]),
 ];
 
-// What keys do, as a list of terms.
+// Actions of the keys, as a list of terms.
 export const keyList = (list) => terms(list, KEYS);
 
 // The buttons of all tools; `choose` receives the name of the tool.
@@ -264,7 +264,7 @@ export function toolbar(bar, choose) {
   );
 }
 
-// A box to tick for each layer; `switched` receives its name.
+// A checkbox for each layer; `switched` receives its name.
 export function switches(box, layers, switched) {
   for (const [name, words] of LAYERS) {
     const input = text("input", "", { type: "checkbox", "data-layer": name });
@@ -279,7 +279,7 @@ export function switches(box, layers, switched) {
   }
 }
 
-// What the colours of the map of errors stand for.
+// Legend of the map of errors.
 export function legend(list) {
   const chips = COLORS.map((color, i) => {
     const words = i < CLASSES.length ? `to ${CLASSES[i]} m` : `over ${CLASSES[CLASSES.length - 1]} m`;
@@ -294,7 +294,7 @@ export function legend(list) {
 
 // --------------------------------------------------------------------------------------------------------------- hints
 
-// What to do next, in a sentence over the picture.
+// The next step, as a sentence over the picture.
 
 const CAMERA_NEEDED = "Zones and lanes are in metres: calibrate the camera first.";
 const CALIBRATED = "Where grid and boxes lie on the road, continue with Gate, Zone and Lane; more points make positions more exact.";
@@ -308,7 +308,7 @@ const CHOOSE = "Drag marks to correct them; drag the picture to move it, zoom wi
 const GATE_DRAWN = "Name its directions if you like, draw further gates, or press Save. Arrows 1 and 2 are the two directions.";
 const ANOTHER_LINE = "Click both ends of another line that is parallel to it on the road; Esc ends the group.";
 
-// `now` is what the page is at, `views` what is shown, `look` the server's answer to `document`.
+// `now` is the page's state, `views` the shown views, `look` the server's answer to `document`.
 export function hintFor(document, now, views, look) {
   const { tool, picking, group, pending } = now;
   if (views.scaling && !views.current) return document.plan ? PLAN.gone : PLAN.none;
@@ -320,14 +320,14 @@ export function hintFor(document, now, views, look) {
   if (tool === "parallels" && group !== null && !pending.length) return ANOTHER_LINE;
   if (tool === "gates" && document.gates.length && !pending.length) return GATE_DRAWN;
   if (tool !== "points" || !document.points.length || !look) return KINDS[tool].hint;
-  // What is still missing is shown at the picture; on a phone the list is far below.
+  // Missing data are shown at the picture, because on a phone the list is far below.
   if (look.message) return look.message;
   return look.camera && !DRAWN.some((kind) => document[kind].length) ? CALIBRATED : KINDS.points.hint;
 }
 
 // -------------------------------------------------------------------------------------------------------- camera panel
 
-// The camera panel: figures, warnings, what is missing, what a button can correct, and what moved with the camera.
+// The camera panel: figures, warnings, missing data, corrections by button, and drawings that moved with the camera.
 
 export class CameraPanel {
   // `does` has `document`, `change`, `trouble`, and `placesOf` (pixels on the road).
@@ -338,7 +338,7 @@ export class CameraPanel {
     for (const button of byId("mend").children) button.addEventListener("click", () => this.mend(button.dataset.way));
   }
 
-  // Says whether the camera of the newest marks is still being solved: what is shown is the one before then.
+  // Shows whether the camera of the newest marks is still being solved; until then the previous one is shown.
   busy(solving) {
     document.querySelector("main").classList.toggle("solving", solving);
     const words = solving ? "Solving the camera…" : "";
@@ -350,7 +350,7 @@ export class CameraPanel {
     this.look = look;
     byId("steps").hidden = Boolean(camera) || MARKED.some((kind) => this.does.document()[kind].length);
     byId("message").textContent = message;
-    byId("message").hidden = !message || !byId("steps").hidden; // the steps say it too
+    byId("message").hidden = !message || !byId("steps").hidden; // the steps show it too
     for (const button of byId("mend").children) button.hidden = button.dataset.mend !== look.mend;
     byId("warnings").replaceChildren(...warnings.map((words) => text("li", words)));
     byId("figures-details").hidden = !camera;
@@ -358,7 +358,7 @@ export class CameraPanel {
     this.showMoved();
   }
 
-  // Says that the camera has been calibrated again under gates, zones and lanes that were drawn before.
+  // Reports that the camera was calibrated again after gates, zones and lanes were drawn.
   showMoved() {
     const { entries, most } = this.drawings.compare(this.does.document(), this.look);
     this.moved = entries;
@@ -368,7 +368,7 @@ export class CameraPanel {
     byId("moved-words").textContent = `The camera was calibrated again: ${which} moved by up to ${Math.round(most)} px in the image.`;
   }
 
-  // Draws what has moved again where it was in the image, by the camera as it is now.
+  // Moves shifted drawings back to their pixels, with the present camera.
   async keepInImage() {
     const entries = this.moved;
     const places = await this.does.placesOf(entries.flatMap(({ corners }) => corners.filter(Boolean)));
@@ -385,7 +385,7 @@ export class CameraPanel {
     this.showMoved();
   }
 
-  // Mends places that are all wrong in one way: axes that are swapped or turned, degrees in place of metres.
+  // Corrects positions that share one error: swapped or rotated axes, degrees instead of metres.
   async mend(way) {
     const { points } = this.does.document();
     const whole = points.flatMap(({ place }, i) => (place.slice(0, 2).every((one) => typeof one === "number") ? [i] : []));

@@ -1,12 +1,12 @@
-// The picture in the stage with the map of errors over it, and what lies under a finger, enlarged.
+// The picture in the stage, the map of errors over it, and a magnifier.
 
 import { Viewport } from "./viewport.js";
 
 const LOUPE = 132;
 const LOUPE_SCALE = 3;
-const BESIDE = 36; // distance from the finger, which would hide it
+const BESIDE = 36; // distance of the magnifier from the finger
 export const CLASSES = [0.1, 0.25, 0.5, 1, 2, 5]; // upper ends of the map's classes, metres; the last class has none
-// Blue up to a metre, orange beyond, darker the farther from it: told apart with any colour vision.
+// Blue up to a metre, orange above, darker with distance from it: distinguishable with any colour vision.
 export const COLORS = ["#08458c", "#3182bd", "#7fb8de", "#cfe3f3", "#fdd9a8", "#fb9a3f", "#c44a00"];
 
 const classOf = (error) => {
@@ -29,7 +29,7 @@ export class SitePicture extends Viewport {
     context.globalAlpha = 1;
   }
 
-  // The map of errors as a picture of a pixel for each cell; null takes it away.
+  // The map of errors as a picture with one pixel per cell; null removes it.
   setMap(errors) {
     this.map = null;
     if (errors) {
@@ -46,7 +46,7 @@ export class SitePicture extends Viewport {
     this.paint();
   }
 
-  // What lies under a finger, larger and above it; where there is no room above, beside it.
+  // The area under the finger, enlarged, above it or, if there is no room, beside it.
   magnify(event) {
     const [x, y] = this.at(event);
     const { clientX, clientY } = event;

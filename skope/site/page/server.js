@@ -1,4 +1,4 @@
-// Questions to the server that gave the page, saving, and what happens where another window has saved meanwhile.
+// Requests to the server, saving, and conflicts with another window that has saved.
 
 import { byId, get } from "./dom.js";
 
@@ -11,8 +11,8 @@ export async function post(path, value) {
   throw Object.assign(new Error(said.text), { status: answer.status, said });
 }
 
-// Asks again and again for the newest value only: while one answer is awaited, values in between are left out. `answered` is
-// called with the answer and the value that was asked.
+// Requests only the newest value: values during a pending request are skipped. `answered` is
+// called with the answer and its value.
 export function newest(path, answered, failed) {
   let waiting = null;
   let asking = false;
@@ -36,10 +36,10 @@ export function newest(path, answered, failed) {
 
 // -------------------------------------------------------------------------------------------------------------- saving
 
-// What of the document is in the file, saving it, and what happens where another window has saved it meanwhile.
+// State of the saved file, saving, and conflicts with another window.
 
 export class Saving {
-  // `does` has `refresh`, `trouble`, `wrong` (a problem that keeps it from being saved) and `replace` (by another document).
+  // `does` has `refresh`, `trouble`, `wrong` (a problem that prevents saving) and `replace` (by another document).
   constructor(begun, does) {
     this.does = does;
     this.exists = begun.exists;
@@ -77,7 +77,7 @@ export class Saving {
     byId("merge").focus();
   }
 
-  // Continues with the work of both windows, or with that of the other window.
+  // Continues with the merged work of both windows, or with the other window's.
   async join(mine) {
     try {
       const theirs = mine ? await post("/merge", { base: this.base, mine }) : await (await get("/begin.json")).json();

@@ -1,5 +1,5 @@
-// The page on which a camera is calibrated and a road drawn. What a file says gets into it as text or as numbers of a
-// drawing; places, residuals and warnings come from the server.
+// Page for calibrating a camera and drawing a road. Contents of files enter it only as text or as numbers of a
+// drawing; positions, residuals and warnings come from the server.
 
 import { byId, get, text } from "./dom.js";
 import { handlesOf, redraw } from "./draw.js";
@@ -14,11 +14,11 @@ const stage = byId("stage");
 const svg = byId("drawing");
 const viewport = new SitePicture(stage, byId("canvas"), svg, byId("loupe"));
 
-const WAIT_MS = 120; // before the server is asked for what changed
+const WAIT_MS = 120; // before a change is sent to the server
 
 let history; // of the document
-let begun; // what the server said at the start
-let saving; // what of the document is in the file
+let begun; // the server's first answer
+let saving; // state of the saved file
 let look = null; // the server's answer to the document
 const now = {
   tool: "select",
@@ -27,15 +27,15 @@ const now = {
   selected: null, // { kind, index, part }
   dragged: null, // { kind, index, part, position }
   hover: null,
-  cursor: null, // of the keyboard, in the view
+  cursor: null, // position of the cross-hair in the view
   byTouch: false, // whether a finger has touched the picture last
   picking: null, // index of the point to be clicked on the plan
-  refused: null, // problem of the last input, which is not in the document
+  refused: null, // problem of the last input, which was rejected
 };
 const layers = { errors: true, grid: true, posts: true, boxes: true, residuals: true, names: true };
 const narrow = matchMedia("(max-width: 56rem)"); // as in site.css: the list is far below the picture
 let views;
-let marking; // what clicks on the picture do
+let marking; // handler of clicks on the picture
 let cameraPanel;
 const view = () => views.current;
 const document_ = () => history.document;
@@ -87,14 +87,14 @@ function trouble(words) {
 
 // ----------------------------------------------------------------------------------------------------- the document
 
-// What the server solves the camera from.
+// Input of the server's calibration.
 const evidenceOf = (document) => JSON.stringify([...MARKED, "camera", "known"].map((key) => document[key]));
-let solvedFrom = evidenceOf({ points: [], lengths: [], parallels: [], verticals: [], camera: null, known: {} }); // the camera that is shown
+let solvedFrom = evidenceOf({ points: [], lengths: [], parallels: [], verticals: [], camera: null, known: {} }); // input of the shown camera
 
 const askLook = newest("/look", (answer, asked) => {
   look = answer;
   solvedFrom = evidenceOf(asked);
-  if (asked === document_()) stage.setAttribute("aria-busy", "false"); // else the newest document is still to be asked
+  if (asked === document_()) stage.setAttribute("aria-busy", "false"); // otherwise the newest document is still to be sent
   showBusy();
   cameraPanel.show(look);
   setMap();
@@ -106,7 +106,7 @@ const askLook = newest("/look", (answer, asked) => {
 });
 let asking;
 
-// Until the answer to the newest evidence has come, the camera that is shown is an earlier one.
+// Until the answer to the newest input arrives, an earlier camera is shown.
 const showBusy = () => cameraPanel.busy(evidenceOf(document_()) !== solvedFrom);
 
 function changed() {
@@ -150,7 +150,7 @@ const act = {
   },
 };
 
-// Where pixels lie on the road; an empty list, and words to the user, where one lies nowhere.
+// Road positions of pixels; an empty list and a message if a pixel has none.
 async function placesOf(pixels) {
   const busy = stage.getAttribute("aria-busy");
   stage.setAttribute("aria-busy", "true");
@@ -165,7 +165,7 @@ async function placesOf(pixels) {
   return [];
 }
 
-// The ends on the road of a gate that has them in the image, as the camera says; undefined where it does not.
+// Road positions of the ends of a gate in the image; undefined if the camera gives none.
 const onRoad = (index) => look?.shapes.find((one) => one.kind === "gates" && one.index === index)?.places;
 
 function step(does) {
@@ -189,7 +189,7 @@ async function load(file) {
 
 const save = () => saving.save(document_());
 
-// A problem keeps the document from being saved: its field is shown.
+// A problem that prevents saving: shows its field.
 function wrong(problem) {
   if (problem && KINDS[problem.kind]) now.selected = { kind: problem.kind, index: problem.index, part: 0 };
   if (problem && !KINDS[problem.kind]) byId(`${problem.kind}-details`).open = true;
@@ -218,7 +218,7 @@ svg.addEventListener("focusin", ({ target }) => {
   const { selected } = now;
   if (!handle || (selected && selected.kind === handle.kind && selected.index === handle.index && selected.part === handle.part)) return;
   now.selected = handle;
-  // The handles are made anew: only after the browser has done with the one that it has just given the focus.
+  // Rebuilds the handles after the browser has finished with the newly focused one.
   setTimeout(refresh);
 });
 
@@ -253,7 +253,7 @@ function listen() {
   addEventListener("beforeunload", (event) => !saving.has(document_()) && event.preventDefault());
 }
 
-// What a user does next: gates need footage alone, points without footage calibrate a camera.
+// The user's next step: gates need footage alone, points without footage calibrate a camera.
 function firstTool({ document, frames }) {
   if (MARKED.some((kind) => document[kind].length) || document.gates.length) return "select";
   return frames ? "gates" : "points";

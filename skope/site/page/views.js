@@ -1,12 +1,12 @@
-// What the stage shows: a frame of the footage, the road from above, or the plan with its scale.
+// Contents of the stage: a frame of the footage, the road from above, or the plan with its scale.
 
 import { byId, get } from "./dom.js";
 import { post } from "./server.js";
 
-const EMPTY = [800, 600]; // pixels of the stage where there is no picture yet
+const EMPTY = [800, 600]; // size of the stage without a picture, pixels
 
 export class Views {
-  // `now` is what the page is at; `does` has `document`, `change`, `trouble`, `shown` (another view is), `placed` (the plan
+  // `now` is the page's state; `does` has `document`, `change`, `trouble`, `shown` (another view), `placed` (the plan
   // has its scale).
   constructor(begun, viewport, now, does) {
     Object.assign(this, { begun, viewport, now, does, name: "image", frame: 0, above: null });
@@ -19,19 +19,19 @@ export class Views {
     for (const button of byId("views").children) button.addEventListener("click", () => this.show(button.dataset.view));
   }
 
-  // The view that is shown: picture, size, and `toWorld` and `fromWorld` where it has metres; null: nothing is there.
+  // The current view: picture, size, and `toWorld` and `fromWorld` if it is metric; null without a view.
   get current() {
     if (this.name === "plan") return this.plan.view(this.does.document().plan);
     return this.name === "above" ? this.above : this.image;
   }
 
-  // Whether places can be clicked on the plan.
+  // Whether positions can be clicked on the plan.
   get planReady() {
     const { plan } = this.does.document();
     return Boolean(plan && this.plan.view(plan));
   }
 
-  // Whether clicks tell the scale of the plan.
+  // Whether clicks set the scale of the plan.
   get scaling() {
     return this.name === "plan" && !this.current?.fromWorld;
   }
@@ -92,7 +92,7 @@ export class Views {
     }
     this.now.picking = null;
     const known = this.does.document().plan;
-    // A restored picture keeps its scale; a new picture has to be scaled again.
+    // A restored picture keeps its scale; a new picture must be scaled again.
     this.setPlan(known && !known.picture ? { ...known, picture: this.plan.loaded } : null);
     await this.show("plan");
   }
@@ -122,9 +122,9 @@ export class Views {
 
 // ----------------------------------------------------------------------------------------------------------- plan view
 
-// The view of a map, plan or aerial picture: its pictures, its scale, and where the world is on it.
+// The view of a map, plan or aerial picture: picture, scale, and position of the world on it.
 
-// How a plan of the document lies in the world: `toWorld` and `fromWorld` of positions on it.
+// Transformation of a plan: `toWorld` and `fromWorld` of positions on it.
 function placed({ metres_per_pixel: size, origin: [x0, y0], rotation_deg: turn = 0 }) {
   const [c, s] = [Math.cos((turn * Math.PI) / 180), Math.sin((turn * Math.PI) / 180)];
   return {
@@ -134,7 +134,7 @@ function placed({ metres_per_pixel: size, origin: [x0, y0], rotation_deg: turn =
 }
 
 class PlanView {
-  // `changed` receives the document's new plan, `came` when another picture is there.
+  // `changed` receives the document's new plan; `came` is called when another picture has loaded.
   constructor(changed, came) {
     Object.assign(this, { changed, came, pictures: new Map(), loaded: null, ends: [] });
     byId("scale-form").addEventListener("submit", (event) => this.use(event));
@@ -145,7 +145,7 @@ class PlanView {
     });
   }
 
-  // The view, or null where there is no picture.
+  // The view; null without a picture.
   view(plan) {
     const name = plan ? plan.picture : this.loaded;
     const picture = this.pictures.get(name);
@@ -154,7 +154,7 @@ class PlanView {
     return plan ? { picture, size, ...placed(plan) } : { picture, size };
   }
 
-  // Asks for the picture of a document's plan, where it has not come yet.
+  // Requests the picture of a document's plan if it is missing.
   async want(plan) {
     if (!plan || !plan.picture || this.pictures.has(plan.picture)) return;
     this.pictures.set(plan.picture, null);
@@ -163,14 +163,14 @@ class PlanView {
     this.came();
   }
 
-  // Takes a picture of the user's; throws an Error with words where a browser cannot show it.
+  // Takes the user's picture; throws an Error with a message if the browser cannot show it.
   async load(file) {
     const { picture: name } = await post("/plan-picture", { data: await base64(file) });
     this.pictures.set(name, await createImageBitmap(file));
     [this.loaded, this.ends] = [name, []];
   }
 
-  // One of the two points that give the plan its scale.
+  // One of the two points that define the plan's scale.
   click(position) {
     this.ends = [...this.ends, position];
     if (this.ends.length === 2) byId("scale").showModal();
