@@ -9,7 +9,7 @@ import typer
 from skope.errors import AssumptionWarning, UserError
 from skope.eval.cli.app import app as eval_app
 from skope.gen.cli.app import app as gen_app
-from skope.terminal.command_options import CommandGroup, Commands
+from skope.terminal.command_options import CommandGroup, Commands, VersionOption
 from skope.terminal.console import Console
 from skope.train.cli import app as train_app
 
@@ -79,7 +79,7 @@ def _show_warning(
 
 
 @app.callback()
-def _root() -> None:
+def _root(version: VersionOption = False) -> None:
     pass
 
 

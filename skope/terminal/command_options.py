@@ -162,7 +162,7 @@ def _paths(group: Any, path: str) -> Iterator[str]:
 
 
 class Commands(typer.Typer):
-    """A command group that adds `--quiet` and `--version` to all its commands.
+    """A command group that adds `--quiet` to all its commands.
 
     A parameter of type `Console` receives a console that is silent with `--quiet`. A parameter with a dataclass type
     becomes one option for each field. If a group is itself a command, as `skope gen` is, its function is not called
@@ -200,8 +200,8 @@ def _for_typer(function: Callable[..., Any]) -> Callable[..., Any]:
             return
         function(**{name: _argument(parameter, context, values) for name, parameter in parameters.items()})
 
-    shared = (_keyword("quiet", QuietOption, False), _keyword("version", VersionOption, False))
-    signature = inspect.Signature([_keyword("context", typer.Context, inspect.Parameter.empty), *options, *shared])
+    options.append(_keyword("quiet", QuietOption, False))
+    signature = inspect.Signature([_keyword("context", typer.Context, inspect.Parameter.empty), *options])
     run.__signature__ = signature  # type: ignore[attr-defined]
     run.__annotations__ = {name: parameter.annotation for name, parameter in signature.parameters.items()}
     run.__name__, run.__doc__ = function.__name__, function.__doc__

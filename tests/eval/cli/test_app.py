@@ -157,12 +157,6 @@ def test_the_installed_command_ends_with_code_2_and_one_line(tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_version_is_printed(skope: Any) -> None:
-    code, out, _ = skope("eval", "--version")
-    assert code == 0
-    assert out.startswith("skope ")
-
-
 # ------------------------------------------------------------------------------------------------ users' mistakes
 
 

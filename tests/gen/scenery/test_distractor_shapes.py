@@ -7,7 +7,7 @@ import pytest
 
 from skope.gen.mesh import Mesh, numbered_rows
 from skope.gen.render.gl.light import PATTERN_GROUPS
-from skope.gen.render.materials import materials_between, own_color
+from skope.gen.render.materials import materials_between, named_color
 from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, skip
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.roadside_boards import posts
@@ -123,7 +123,7 @@ def test_scenery_has_their_materials(make: Make) -> None:
     drawn = {name for ends in PATTERN_GROUPS.values() for name in materials_between(*ends)}
     for seed in range(30):
         for material in make(np.random.default_rng(seed)).materials:
-            assert material in drawn or own_color(material), material
+            assert material in drawn or named_color(material), material
 
 
 def test_they_have_their_heights() -> None:

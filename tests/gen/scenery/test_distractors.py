@@ -9,7 +9,7 @@ import shapely
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh
-from skope.gen.render.materials import MATERIAL_COLORS, own_color
+from skope.gen.render.materials import MATERIAL_COLORS, named_color
 from skope.gen.scenery import build
 from skope.gen.scenery.build import Scenery, scenery
 from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, wall_panel
@@ -73,5 +73,5 @@ def test_their_shapes_are_sound() -> None:
             mesh = make(np.random.default_rng(seed))
             assert np.isfinite(mesh.vertices).all()
             assert np.isfinite(mesh.normals).all()
-            assert all(name in MATERIAL_COLORS or own_color(name) for name in mesh.materials)
+            assert all(name in MATERIAL_COLORS or named_color(name) for name in mesh.materials)
             assert np.ptp(mesh.vertices, axis=0).max() < 9.0

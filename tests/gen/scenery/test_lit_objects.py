@@ -13,7 +13,7 @@ from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import RenderedFrame
 from skope.gen.render.gl import background, renderer
 from skope.gen.render.gl.light import PATTERN_GROUPS
-from skope.gen.render.materials import GROUND_MATERIALS, materials_between, own_color
+from skope.gen.render.materials import GROUND_MATERIALS, materials_between, named_color
 from skope.gen.scenery.build import Scenery, scenery
 from skope.gen.scenery.distractor_shapes import wall_panel
 from skope.gen.scenery.distractors import DISTRACTOR_LIMITS
@@ -54,7 +54,7 @@ def test_shapes_are_whole_and_look_outward(make: MakeLit) -> None:
     for seed in range(12):
         mesh = make(np.random.default_rng(seed))
         assert np.isfinite(mesh.vertices).all()
-        assert all(name in drawn or own_color(name) for name in mesh.materials)
+        assert all(name in drawn or named_color(name) for name in mesh.materials)
         assert np.ptp(mesh.vertices, axis=0).max() < 11.0
         assert mesh.vertices[:, 2].min() <= 0.0
         assert floating(mesh) == 0, seed

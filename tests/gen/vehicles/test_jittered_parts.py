@@ -8,7 +8,7 @@ import pytest
 
 from skope import keypoints
 from skope.errors import UserError
-from skope.gen.render.materials import MATERIAL_COLORS, own_color
+from skope.gen.render.materials import MATERIAL_COLORS, named_color
 from skope.gen.vehicles.cabin import ROOF_LOAD_HEIGHTS_M
 from skope.gen.vehicles.fleet import ParametricVehicle, build_vehicle, fleet, jittered, parametric
 from skope.gen.vehicles.jittered_parts import ALL_DETAILS, draw_details, styled
@@ -58,7 +58,7 @@ def assert_details_keep_the_keypoints(model: str, details: dict[str, float]) -> 
     assert backs_seen(vehicle, np.random.default_rng(3), 6) == 0
     used = {vehicle.mesh.materials[i] for i in np.unique(vehicle.mesh.material)}
     assert {"headlight", "taillight", "brake_light", "reverse_light", "indicator_left", "indicator_right"} <= used
-    assert all(material in {*MATERIAL_COLORS, "paint"} or own_color(material) for material in used)
+    assert all(material in {*MATERIAL_COLORS, "paint"} or named_color(material) for material in used)
 
 
 @pytest.mark.parametrize("turn", range(max(len(detail.options) for detail in ALL_DETAILS.values()) - 1))
