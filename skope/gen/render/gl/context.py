@@ -109,6 +109,20 @@ def _gpu_number(worker: str | None) -> int:
     return int(worker or 0) % gpus if gpus else 0
 
 
+def _create_context(gl: Any, number: int) -> Any:
+    """Create an OpenGL context on GPU `number`, or on the first device if EGL has fewer devices than there are GPUs.
+
+    Containers with CUDA but without NVIDIA's graphics libraries have only Mesa's device.
+    """
+    settings = {"standalone": True, "backend": "egl", "require": 430}
+    try:
+        return gl.create_context(**settings, device_index=number)
+    except Exception:  # EGL loaders raise various exceptions
+        if number == 0:
+            raise
+        return gl.create_context(**settings, device_index=0)
+
+
 class Device:
     """One OpenGL context with its programs."""
 
@@ -120,9 +134,7 @@ class Device:
         os.environ["LP_NUM_THREADS"] = "0"
         self.gl: Any = moderngl
         try:
-            self.context: Any = self.gl.create_context(
-                standalone=True, backend="egl", require=430, device_index=_gpu_number(os.environ.get(WORKER_VARIABLE))
-            )
+            self.context: Any = _create_context(self.gl, _gpu_number(os.environ.get(WORKER_VARIABLE)))
         except Exception as error:  # EGL loaders raise various exceptions
             raise UserError(
                 f"--renderer gl: no OpenGL context through EGL ({error}); install libegl1 and libgl1-mesa-dri "
