@@ -99,11 +99,11 @@ _EVENT_COLUMNS: Final = (
 
 
 def _events(report: TrafficReport) -> ReportTable:
-    every = [*_crossing_events(report), *_visit_events(report), *_lane_change_events(report), *_braking_events(report)]
+    kinds = (_crossing_events, _visit_events, _lane_change_events, _braking_events)
     names = _EVENT_COLUMNS.split()
 
     def rows() -> Iterator[TableRow]:
-        for event in sorted(every, key=lambda event: event["time_s"]):
+        for event in sorted((event for kind in kinds for event in kind(report)), key=lambda event: event["time_s"]):
             cells = event | {"time": clock(report, event["time_s"])}
             yield *(cells.get(name) for name in names), *_recording(report, event["time_s"])
 
