@@ -49,8 +49,9 @@ demo: $(STAMP)
 chain: $(STAMP)
 	SKOPE=$(SKOPE) bash scripts/chain.sh
 
+# A crashed worker ends the run: pytest-xdist may wait forever for its replacement if files are kept together.
 test: $(STAMP)
-	$(VENV)/bin/python -m pytest -n $(TESTERS) --dist loadfile --no-loadscope-reorder
+	$(VENV)/bin/python -m pytest -n $(TESTERS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
 test-slow: $(STAMP)
 	$(VENV)/bin/python -m pytest -m slow

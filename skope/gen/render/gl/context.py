@@ -145,11 +145,21 @@ class Device:
         self.name = " ".join(str(self.context.info[key]) for key in ("GL_RENDERER", "GL_VERSION"))
         self.context.front_face = "cw"  # image rows run down
         self.context.depth_func = "<"
-        # Unreferenced objects are freed on the device too, but not while Python exits and is partly torn down.
-        self.context.gc_mode = "auto"
+        # `use` frees unreferenced objects: Python may collect them while another context is current, and in any
+        # thread. Nothing is freed while Python exits and is partly torn down.
+        self.context.gc_mode = "context_gc"
         atexit.register(setattr, self.context, "gc_mode", None)
         self._empty: dict[int, Any] = {}
         self._programs: dict[tuple[str, ...], Any] = {}
+
+    def use(self) -> None:
+        """Make this context the thread's current one, and free its unreferenced objects.
+
+        Other code of the process may have made a context of its own current since the last frame. OpenGL commands go to
+        the current context, and crash if their objects belong to another one.
+        """
+        self.context.__enter__()
+        self.context.gc()
 
     def program(self, vertex: str, fragment: str, *options: str) -> Any:
         """Return the program of two shader files, compiled once per set of options (llvmpipe skips no branches)."""
@@ -189,10 +199,7 @@ class Device:
         if not rows.size:
             return
         buffer = self.context.buffer(np.ascontiguousarray(rows, dtype="f4").tobytes())
-        array = self.context.vertex_array(program, [(buffer, layout, *names)])
-        array.render()
-        array.release()
-        buffer.release()
+        self.context.vertex_array(program, [(buffer, layout, *names)]).render()
 
     def upload(self, *parts: Mesh, origin: Array | None = None) -> DeviceMesh:
         """Upload meshes that are drawn together, each with its own matrices.

@@ -159,6 +159,7 @@ class GLRenderer:
 
     def render(self, frame: int) -> RenderedFrame:
         """Draw a frame."""
+        self._device.use()
         camera, moment, empty = self._camera, self._recording.moment(frame), self._background
         shutter_s = self._recording.conditions.shutter_s
         placed = self._placer.place(moment)
@@ -529,9 +530,15 @@ def _footprint(placed: PlacedVehicle, middle: Array) -> Array:
     return np.concatenate(out)
 
 
-@cache
 def device() -> Device:
-    """Return this process's OpenGL device."""
+    """Return this process's OpenGL device, and make it the current one."""
+    device = _only_device()
+    device.use()
+    return device
+
+
+@cache
+def _only_device() -> Device:
     return Device()
 
 
