@@ -84,27 +84,27 @@ class DatasetOptions:
     views: Annotated[
         int | None,
         variation(
-            help="Number of additional cameras per site, elsewhere in its town, that see the same traffic.",
+            help="Record the simulated traffic of each site from this many sampled cameras in its town.",
             show_default="the preset's",
         ),
     ] = None
     town_jitter: Annotated[
         bool | None,
-        variation(help="Draw new houses, trees and signs for each recording.", show_default="the preset's"),
+        variation(help="Sample new houses, trees and signs for each simulated traffic.", show_default="the preset's"),
     ] = None
     shape_jitter: Annotated[
         bool | None,
         variation(help="Vary the shape of each vehicle within the limits of its type.", show_default="the preset's"),
     ] = None
-    camera_jitter: Annotated[bool, variation(help="Vary position and orientation of the camera in each recording.")] = (
-        False
-    )
+    camera_jitter: Annotated[
+        bool, variation(help="Vary position, orientation and zoom of the camera in each recording.")
+    ] = False
     weather: Annotated[
         str | None,
         camera(
             choices=WEATHER_CHOICES,
             several=True,
-            help="Weather of the recordings, drawn from this list.",
+            help="Weather of the recordings; several values are taken in turn.",
             show_default="the sites' and preset's",
         ),
     ] = None
@@ -113,7 +113,7 @@ class DatasetOptions:
         camera(
             choices=HOUR_CHOICES,
             several=True,
-            help="Time of day of the recordings, drawn from this list.",
+            help="Time of day of the recordings; several values are taken in turn.",
             show_default="the sites' and preset's",
         ),
     ] = None
