@@ -156,7 +156,7 @@ class Device:
         """Make this context the thread's current one, and free its unreferenced objects.
 
         Other code of the process may have made a context of its own current since the last frame. OpenGL commands go to
-        the current context, and crash if their objects belong to another one.
+        the current context, and crash if their objects belong to a different context.
         """
         self.context.__enter__()
         self.context.gc()
