@@ -1,14 +1,14 @@
 """Calibrate a camera from all evidence: marked points, lengths, parallel lines, verticals, known parameters.
 
-This is one least-squares problem in which each residual is in units of its own standard deviation (Levenberg and
+The calibration is one least-squares problem. Each residual is in units of its own standard deviation (Levenberg and
 Marquardt's method). The covariance gives the uncertainty of each position in the image. Residuals of lines on the road
 are measured on the road, because the errors of the marks are projected there. Lens distortion and focal length are
 always unknown, with a prior from real lenses.
 
 Wrong points among the marks are searched for as sets. A wrong point lies anywhere near its true position, for example
 at the next corner of a marking. The likelihood of each set follows from the evidence under the best camera without it
-(Laplace's approximation). If several sets are likely, the camera is that of the most likely set, and its covariance
-includes the cameras of the others.
+(Laplace's approximation). If several sets are likely, the result is the camera of the most likely set, and its
+covariance includes the candidate cameras of the other sets.
 """
 
 import math
@@ -44,17 +44,17 @@ class WrongPointPrior:
     probability: float = 0.02
     """Prior probability that a marked point is wrong."""
     error_m: tuple[float, float] = (3.5, 30.0)
-    """Standard deviations of a wrong point, metres along x and y: off by a lane's width, or anywhere."""
+    """Candidate standard deviations of a wrong point, metres along x and y: a lane's width, or anywhere."""
     most_points: int = 8
-    """Maximum number of examined points: those that the others contradict most."""
+    """Maximum number of points that are examined as possibly wrong, the most contradictory ones first."""
     points_per_wrong: int = 4
-    """Number of points per possibly wrong point."""
+    """Number of points for each wrong point that a set may contain."""
     reported: float = 0.05
     """Minimum probability at which a point is reported as possibly wrong."""
     surprising: float = 0.01
-    """Probability of the residuals below which they widen the covariance."""
+    """Significance level: the covariance is widened if residuals this large have a lower probability."""
     other_camera: float = 0.05
-    """Minimum probability at which a second camera is reported."""
+    """Minimum probability at which a second candidate camera is reported."""
 
 
 WRONG_POINTS: Final = WrongPointPrior()
@@ -62,7 +62,7 @@ WRONG_POINTS: Final = WrongPointPrior()
 
 @dataclass(frozen=True, eq=False)
 class JudgedPoints:
-    """Most likely fit without wrong points, and the wrong points."""
+    """Most likely fit without the wrong points, with their names and the added uncertainty."""
 
     fit: WeightedFit
     """Most likely camera without the wrong points."""
@@ -71,7 +71,7 @@ class JudgedPoints:
     doubts: tuple[str, ...]
     """Sentences on further points that may be wrong."""
     spread: Array
-    """(P, P) covariance added for the cameras of other sets of wrong points."""
+    """(P, P) covariance added for the candidate cameras of other sets of wrong points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,12 +85,12 @@ class _Hypothesis:
 def with_wrong_points(
     evidence: Evidence, terms: Sequence[ResidualTerm], fit: WeightedFit, unknown: Sequence[str]
 ) -> JudgedPoints:
-    """Find the points that are probably wrong, and the camera of the others.
+    """Find the points that are probably wrong, and the camera that fits all remaining points.
 
     Args:
         evidence: Evidence with at least six points.
         terms: Terms of the evidence, those of the points first.
-        fit: Most likely camera if no point is wrong.
+        fit: Fit of the most likely camera under the assumption that no point is wrong.
         unknown: Names of the unknown parameters.
     """
     scales = SEARCH_SCALES[[CAMERA_PARAMETERS.index(name) for name in unknown]]
@@ -153,7 +153,7 @@ def _judged(
 
 
 def _doubts(names: Sequence[str], best: _Hypothesis, found: Sequence[_Hypothesis], share: Array) -> tuple[str, ...]:
-    """Return sentences on points that may be wrong in addition to, or in place of, those of the most likely set."""
+    """Return sentences on points that may be wrong but are not in the most likely set, and on unsure ones in it."""
     chance = [
         sum(weight for candidate, weight in zip(found, share, strict=True) if i in candidate.wrong)
         for i in range(len(names))
@@ -230,12 +230,12 @@ class SiteCalibration(UncertainCamera):
 
 
 def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = True) -> SiteCalibration:
-    """Find the most likely camera under all evidence, without points that contradict the others.
+    """Find the most likely camera under all evidence, after leaving out points that are probably wrong.
 
     Args:
         evidence: The evidence. Positions are metric only if it contains points, lengths, the height of a vertical or
             the camera's own height.
-        start: An initial camera; None: one fitted to the points, or the best of many.
+        start: Initial camera; None: candidates fitted to the points, or the best of a grid.
         check: Whether to search for points that contradict the others.
 
     Raises:
@@ -277,7 +277,7 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = 
 
 
 def _excess(fit: WeightedFit, groups: int) -> float:
-    """Return the factor by which the residuals are larger than expected; 1 if that may be chance.
+    """Return the factor by which the residuals exceed their expected size; 1 if the excess may be chance.
 
     Each of the `groups` of parallel lines has one free direction.
     """
@@ -315,18 +315,19 @@ def _warnings(evidence: Evidence, calibration: SiteCalibration) -> tuple[str, ..
 
 @dataclass(frozen=True)
 class LeftOutError:
-    """Error of a point that is left out and located by the others."""
+    """Leave-one-out error of a point: its position is predicted from all other evidence."""
 
     error_m: float
-    """Distance from its known position, metres; NaN if the others place it above the horizon."""
+    """Distance between known and predicted position, metres; NaN if the point is predicted above the horizon."""
     stated_m: float
-    """90% bound of the error, metres, from the errors of the others, of the mark and of the known position."""
+    """90% bound of `error_m`, metres, from the errors of all other evidence, the mark and the known position."""
 
 
 def left_out_errors(evidence: Evidence, calibration: SiteCalibration) -> dict[str, LeftOutError]:
-    """Return the leave-one-out error of each point by its name, except for points that the others cannot locate.
+    """Return the leave-one-out error of each point by its name, without points that cannot be predicted.
 
-    A point that the calibration already leaves out is located by all the others. Empty if too few would remain.
+    The position of a point that the calibration already leaves out is predicted from all points that it uses. The
+    result is empty if too few points would remain.
     """
     good = tuple(point for point in evidence.points if point.name not in calibration.outliers)
     out = {}

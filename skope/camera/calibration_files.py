@@ -210,7 +210,7 @@ def _node(node: Any) -> Any:
 
 
 def _matrix(values: Mapping[str, Any]) -> Any:
-    """Return a matrix of OpenCV or ROS; only its data if their number does not match rows and columns."""
+    """Return a matrix of OpenCV or ROS; a flat array if the number of values does not match rows and columns."""
     # OpenCV's FileNode.mat() writes out of bounds if a file gives wrong sizes.
     try:
         return np.reshape(values["data"], (int(values["rows"]), int(values["cols"])))
@@ -219,7 +219,7 @@ def _matrix(values: Mapping[str, Any]) -> Any:
 
 
 def _single_camera(path: Path, values: dict[str, Any]) -> dict[str, Any]:
-    """Return the camera of a file; in Kalibr's it has a name. Raise UserError if there are several."""
+    """Return the only camera of a file, also if it has a name as in Kalibr's files; raise UserError for several."""
     cameras = {key: value for key, value in values.items() if isinstance(value, dict) and "intrinsics" in value}
     if not cameras or _first(values, _K_NAMES) is not None:
         return values

@@ -1,6 +1,6 @@
 """Marks that a user sets in an image to calibrate a camera, with their standard deviations.
 
-Pixels count the centre of a pixel as (col + 0.5, row + 0.5), metres are the world's; the road is its plane z = 0.
+The centre of a pixel is (col + 0.5, row + 0.5). Metres are those of the world, in which the road is the plane z = 0.
 """
 
 import math

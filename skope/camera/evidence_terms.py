@@ -97,7 +97,7 @@ def _parallel_term(group: ParallelLines) -> ResidualTerm:
         return _finite(group.sigma_px**2 * (by_marks**2).sum(axis=(1, 2)))
 
     def residual(camera: Camera) -> Array:
-        """Return the angles from their mean. With a very wrong camera, the mean moves and not the lines."""
+        """Return the deviations of the lines' angles from their weighted mean."""
         way = directions(camera)
         weight = 1 / np.maximum(variances(camera, way), 1e-12)
         angles = np.arctan2(way[:, 1], way[:, 0])

@@ -106,7 +106,7 @@ def ground_jacobian(
 ) -> Array:
     """Return (..., 2, 2) derivatives of `intersect_ground` by the pixels (..., 2), metres per pixel.
 
-    Central differences of all pixels at once, because a search needs these thousands of times.
+    The derivatives are central differences, computed for all pixels at once.
 
     Args:
         camera: The camera of the image.

@@ -30,7 +30,7 @@ MODEL_KEYS: Final = ("distortion_model", "fisheye_model", "camera_model", "model
 _DEVICE_KEY: Final = "model"
 """Key that may also hold the name of the device."""
 SHARED_COUNT: Final = 4
-"""Number of coefficients that both models have."""
+"""Number of distortion coefficients that fits both Brown's model and the fisheye model."""
 
 
 def lens_model(path: Path, values: Mapping[str, Any]) -> str | None:
@@ -76,8 +76,8 @@ def distortion(
 ) -> Distortion:
     """Return the lens distortion of a calibration file, with the model that it names.
 
-    OpenCV's own files name no model. More than four coefficients can only be Brown's. Four are also read as Brown's,
-    with an `AssumptionWarning`.
+    OpenCV's own files name no model. More than four coefficients can only be Brown's. Four coefficients are also read
+    as Brown's, with an `AssumptionWarning`.
 
     Args:
         path: The file, for messages.

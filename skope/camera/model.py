@@ -171,7 +171,7 @@ class Distortion:
 
 @dataclass(frozen=True, eq=False)
 class _Jacobian:
-    """N matrices of two rows and columns, by their entries (N,): much faster than arrays of small matrices."""
+    """N matrices of two rows and columns, stored by entries (N,) for speed."""
 
     xx: Array
     xy: Array

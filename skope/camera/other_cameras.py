@@ -1,7 +1,8 @@
-"""Find other cameras that fit the same points: a few points may fit a near wide-angle and a distant telephoto camera.
+"""Search for further candidate cameras that fit the same points.
 
-The search finds one of them. The probability of each follows from the evidence under it (Laplace's approximation). If
-several are likely, the covariance of the most likely one includes the others.
+A few points may fit a near wide-angle camera and also a distant telephoto camera. The fit finds only one of these
+candidates. The probability of a candidate follows from the evidence under it (Laplace's approximation). If several
+candidates are likely, the covariance of the most likely one includes the others.
 """
 
 import math
@@ -23,14 +24,14 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class OtherCameraStarts:
-    """Initial cameras of the search for other solutions."""
+    """Initial candidate cameras of the search."""
 
     focal_widths: tuple[float, float, float, float] = (0.45, 0.7, 1.1, 2.6)
     """Focal lengths, in widths of the image."""
     distortions: tuple[float, float] = (0.0, -0.2)
     """First coefficients of the distortion."""
     same_camera: float = 0.02
-    """Difference of two cameras below which they are one, in units of `SEARCH_SCALES`."""
+    """Difference below which two candidate cameras count as one, in units of `SEARCH_SCALES`."""
 
 
 OTHER_CAMERAS: Final = OtherCameraStarts()
@@ -39,7 +40,7 @@ OTHER_CAMERAS: Final = OtherCameraStarts()
 def likely_cameras(
     evidence: Evidence, terms: Sequence[ResidualTerm], fit: WeightedFit, unknown: Sequence[str]
 ) -> tuple[list[WeightedFit], Array]:
-    """Return all cameras that fit the evidence, most likely first, and (C,) the probability of each.
+    """Return all candidate cameras that fit the evidence, most likely first, and (C,) their probabilities.
 
     Args:
         evidence: Evidence with at least four points.
@@ -68,12 +69,12 @@ def likely_cameras(
 def spread_around(
     base: WeightedFit, rivals: Sequence[WeightedFit], chances: Sequence[float], unknown: Sequence[str]
 ) -> Array:
-    """Return the covariance that other likely cameras add to that of one camera.
+    """Return the covariance to add to a camera for other likely candidate cameras.
 
     Args:
         base: The camera with the covariance to extend.
-        rivals: The other cameras that fit the evidence.
-        chances: Probability of each of them.
+        rivals: The other candidate cameras that fit the evidence.
+        chances: Probability of each rival.
         unknown: Names in `CAMERA_PARAMETERS` of the P fitted parameters.
 
     Returns:

@@ -87,7 +87,7 @@ def fit_camera_to_points(
     K: Array | None = None,
     distortion: Distortion | None = None,
 ) -> CameraFit:
-    """Fit the camera that projects points to pixels with the least sum of squared distances in the image.
+    """Fit a camera to points by least squares of their distances in the image.
 
     SQPnP (Terzakis and Lourakis, 2020) gives the pose for each tested focal length. Levenberg and Marquardt's method
     refines the best.

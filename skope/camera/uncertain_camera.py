@@ -233,7 +233,8 @@ def moved_camera(camera: Camera, steps: Mapping[str, float]) -> Camera:
 
 
 def radius_of(covariance: ArrayLike, share: float) -> Array:
-    """Return the radius (...,) of the circle that contains a share of normal distributions of covariance (..., 2, 2).
+    """Return the radius (...,) of the circle that contains a share of a normal distribution with covariance (..., 2,
+    2).
 
     Across the longer axis the share of a chord is an error function; along it, Gauss-Legendre quadrature is used.
     """

@@ -34,11 +34,11 @@ class FitStarts:
     finalists: int = 2
     """Number of starts that are optimised to the end."""
     first_steps: int = 12
-    """Number of evaluations after which these are selected."""
+    """Number of evaluations after which the finalists are selected."""
     least_information: float = 1e-8
-    """Minimum information on a parameter, in inverse squares of `SEARCH_SCALES`. Lower values are raised to it."""
+    """Lower limit of the information on a parameter, in inverse squares of `SEARCH_SCALES`."""
     checked_points: int = 6
-    """Minimum number of points at which a point that contradicts the others can be identified."""
+    """Minimum number of points for the search for wrong points."""
 
 
 FIT_STARTS: Final = FitStarts()
@@ -82,7 +82,7 @@ class WeightedFit:
 def best_fit(
     terms: Sequence[ResidualTerm], starts: Sequence[Array], unknown: Sequence[str], size: tuple[int, int]
 ) -> WeightedFit:
-    """Find the most likely camera. With many starts, only the best after some steps are optimised further.
+    """Find the most likely camera from several initial values.
 
     Args:
         terms: The evidence.

@@ -43,7 +43,7 @@ def convolutions_with_norms(model: KeypointRCNN) -> Iterator[tuple[nn.Module, st
 
 @torch.no_grad()
 def multiply_in(model: KeypointRCNN) -> None:
-    """Fold all norms of a model in evaluation mode permanently: factors and shifts become weights and biases."""
+    """Permanently fold all norms of a model in evaluation mode into weights and biases."""
     for owner, convolution, norm in list(convolutions_with_norms(model)):
         layer: Any = owner.get_submodule(convolution)
         given_up: Any = owner.get_submodule(norm)

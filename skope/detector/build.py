@@ -1,4 +1,4 @@
-"""Keypoint R-CNN with 33 keypoints, built from torchvision's parts and a config.
+"""Build a Keypoint R-CNN with 33 keypoints from torchvision's parts and a config.
 
 Boxes and keypoints are continuous pixel coordinates of the input image, as everywhere in skope. torchvision resizes the
 image before the network and scales the results back by the same two factors.
@@ -77,7 +77,7 @@ class DetectorConfig:
     """Names of the classes, from `schema.CATEGORY_NAMES`. Label k of the network is the k-th class, label 0 the
     background. Vehicles have label 1; only they have keypoints."""
     box_passes: int = 1
-    """Number of passes of the box head. With 2, it corrects each box once more, starting from the box itself."""
+    """Number of passes of the box head. The second pass corrects each box again, from the features inside it."""
     backbone: str = DEFAULT_BACKBONE
     """Network that computes the feature maps: a name in `skope.detector.backbones.BACKBONE_CHOICES`."""
     pyramid_width: int = NETWORK_DEFAULTS.pyramid_width
@@ -186,14 +186,14 @@ def check_size(name: str, value: object) -> None:
 
 
 class KeypointNetwork(KeypointRCNN):  # type: ignore[misc]  # torchvision has no types
-    """torchvision's Keypoint R-CNN with a number of box head passes; torchvision's own `forward` makes one."""
+    """torchvision's Keypoint R-CNN with one or two passes of the box head."""
 
     box_passes: int = 1
     """Number of passes, as in `DetectorConfig`."""
 
 
 def box_passes_of(model: KeypointRCNN) -> int:
-    """Return the number of box head passes of a model; torchvision's own makes one."""
+    """Return the number of box head passes of a model; 1 for torchvision's own."""
     return int(getattr(model, "box_passes", 1))
 
 
@@ -204,8 +204,8 @@ def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: i
         config: Backbone, widths, categories, normalisation, and size of the images inside the network.
         trainable_layers: Number of trainable backbone stages with frozen normalisation, 0 to 5, from the last one. With
             trainable normalisation all stages are trainable, as in torchvision.
-        num_keypoints: Number of keypoints. Values other than 33 are for weights with another scheme; their predictor is
-            replaced afterwards.
+        num_keypoints: Number of keypoints. Values other than 33 are for weights with a different keypoint scheme; the
+            keypoint predictor is then replaced afterwards.
     """
     norm = FrozenBatchNorm2d if config.norm == "frozen" else nn.BatchNorm2d
     backbone = with_pyramid(

@@ -104,7 +104,7 @@ def load_weights(
 
 
 class _NotDrawn(TorchFunctionMode):
-    """Skip the random initialisation of weights that are read from a file: it would take longer than reading."""
+    """Context that skips the random initialisation of weights, which takes longer than reading them from a file."""
 
     _DRAWS: Final = (
         torch.Tensor.normal_,
@@ -197,8 +197,8 @@ def checkpoints(run: Path) -> dict[int, Path]:
 def find_checkpoint(path: Path) -> Path:
     """Return the weights file that `path` refers to.
 
-    This is `path` itself if it is a file; the newest checkpoint if it is a run folder, or the best if no other exists;
-    or, if `path` does not exist, the weights of that name that come with the package.
+    A file is returned unchanged. For a run folder, the result is its newest checkpoint, or `BEST_WEIGHTS` if no other
+    exists. If `path` does not exist, the result is the file of the weights of that name in the package.
 
     Raises:
         UserError: There are no such weights.

@@ -158,7 +158,7 @@ def detect(
 def _found(
     model: KeypointRCNN, images: Sequence[NDArray[np.uint8]], device: torch.device | str, categories: Sequence[str]
 ) -> Iterator[Detections]:
-    """Yield the detections of images. This follows torchvision's path through the model, except for reading heat maps.
+    """Yield the detections of images, by torchvision's path through the model except for reading heat maps.
 
     Only vehicles pass through the keypoint head. torchvision sends all categories through it.
     """
@@ -197,8 +197,8 @@ def _corrected(
 ) -> list[torch.Tensor]:
     """Return the (N, 4) boxes of each image after a second pass of the box head, in pixels inside the network.
 
-    In the first pass, the head has seen a region around the vehicle; now it sees the vehicle's own box. The remaining
-    error is small (Cascade R-CNN; Cai and Vasconcelos, 2018; here with a single head).
+    The first pass uses a region around the vehicle, the second the box that the first has found. The remaining error of
+    the box is small (Cascade R-CNN; Cai and Vasconcelos, 2018; here with a single head).
     """
     _, offsets = heads.box_predictor(heads.box_head(heads.box_roi_pool(features, rectangles, inner_sizes)))
     label_offsets = offsets_of_label(offsets, torch.cat(list(labels))).float()
@@ -325,7 +325,7 @@ def _inference(model: KeypointRCNN, min_score: float, max_detections: int) -> It
 
 
 def _lock_of(model: KeypointRCNN) -> threading.RLock:
-    """Return the lock that a call holds while it changes a model: thresholds, mode, and values passed between parts."""
+    """Return the lock that a call holds while it changes the thresholds, mode or intermediate values of a model."""
     with _ALL_LOCKS:
         return MODEL_LOCKS.setdefault(model, threading.RLock())
 

@@ -12,7 +12,7 @@ _WITHOUT_BFLOAT16: Final = ("SSE41", "AVX", "AVX2", "AVX2_VNNI", "AVX512_CORE", 
 
 
 def has_bfloat16(device: torch.device) -> bool:
-    """Return whether the processor has instructions for bfloat16; without them bfloat16 is slower than float32.
+    """Return whether the processor has instructions for bfloat16. Without them, bfloat16 is slower than float32.
 
     On a CPU, only instructions that the library for products may use count: ONEDNN_MAX_CPU_ISA limits them.
     """

@@ -4,8 +4,8 @@ Calibrated scores become part of the weights. A vehicle's score is the sigmoid o
 keypoint's score is the sigmoid of the maximum of its heat map. Both are linear in the last layer. Scaling and shifting
 that layer gives an ordinary checkpoint, also for torchvision's own model.
 
-Other categories have their own scale and offset of the difference between their logit and that of the background. Such
-a score is calibrated if the background is the strongest competitor, which is nearly always the case.
+Other categories have their own scale and offset of the difference between their logit and that of the background. The
+calibrated score of a category is exact where only the background competes with it, which is nearly everywhere.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,7 +42,7 @@ class CalibrationFit:
     """Limits of the calibration fit."""
 
     least_score: float = 0.02
-    """Score above which detections are used."""
+    """Score threshold of the detections that are used."""
     found_iou: float = 0.5
     """Minimum IoU for a detection to match a vehicle."""
     largest_logit_gap: float = 16.0
@@ -57,7 +57,7 @@ CALIBRATION_FIT: Final = CalibrationFit()
 
 
 def vehicle_outcomes(file: AnnotationFile, results: Sequence[Result]) -> tuple[Array, NDArray[np.bool_]]:
-    """Return scores of detections above `CALIBRATION_FIT.least_score` and whether each matched a vehicle, (D,) each.
+    """Return (D,) scores above `CALIBRATION_FIT.least_score`, and (D,) whether each detection matched a vehicle.
 
     A second detection of a vehicle is not a match. Detections on ignored vehicles are excluded.
     """

@@ -27,7 +27,8 @@ class RangeSampling:
     """Settings for measuring the ranges of inputs."""
 
     clipped_share: float = 1e-4
-    """Share of a call's inputs outside its range at each end. Rare extreme values would make all others coarser."""
+    """Share of a call's inputs outside its range at each end. Including rare extreme values would make the steps of all
+    values coarser."""
     inputs: int = 1 << 18
     """Number of inputs examined per call."""
 
@@ -78,10 +79,10 @@ def to_metadata(model: nn.Module, ranges: Ranges) -> dict[str, Any]:
 
 
 def read(model: nn.Module, metadata: Mapping[str, Any]) -> Ranges | None:
-    """Return the ranges in a checkpoint's metadata; None if it has none.
+    """Return the input ranges in a checkpoint's metadata; None if the metadata contains none.
 
     Raises:
-        UserError: They are not those of the layers of `model`.
+        UserError: The ranges do not belong to the layers of `model`.
     """
     stored = metadata.get(RANGES_KEY)
     if stored is None:

@@ -1,4 +1,4 @@
-"""Settings of inference, in a module without torch so that the command line can check them quickly."""
+"""Settings of inference. This module does not import torch, so the command line can check them quickly."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -11,7 +11,7 @@ FASTEST_BACKEND: Final = "openvino"
 PRECISION_CHOICES: Final = ("auto", "float32", "bfloat16", "int8")
 TILE_CHOICES: Final = ("none", "auto")
 MIN_SCORE: Final = 0.05
-"""Default score threshold: a detector reports no detection with a lower score."""
+"""Default score threshold. Detections with a lower score are not reported."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,16 +30,16 @@ class Settings:
     precision: str = "float32"
     """Number format of the products; "auto" selects the fastest one that backend, processor and checkpoint support."""
     min_size: int | None = None
-    """Short side of images inside the network, pixels; None: that of the checkpoint's training."""
+    """Short side of images inside the network, pixels; None: the short side of the checkpoint's training."""
     batch_size: int | None = None
     """Number of images of one size per batch. Default: 1 on a CPU, 8 on a GPU, 16 if it has 24 GB."""
     tiles: str = "none"
-    """Whether parts of the image also pass through the network; "auto" for images larger than the network's input."""
+    """Whether tiles of the image also pass through the network; "auto": if the image exceeds the network's input."""
     one_size: bool = True
     """Whether all images have one of a few sizes. A backend then prepares for each size. This takes 1.5 s per size and
     makes inference a fifth faster. The detections in an image never depend on earlier images."""
     calibrated: bool = True
-    """Whether to use the calibration beside the weights, if there is one."""
+    """Whether to use the file with the score calibration beside the weights, if the file exists."""
 
     def __post_init__(self) -> None:
         one_of("--backend", self.backend, BACKEND_CHOICES)

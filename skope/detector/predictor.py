@@ -105,11 +105,11 @@ class _Raised:
 T = TypeVar("T")
 
 CALIBRATED_KEY: Final = "calibrated"
-"""Metadata key of a checkpoint for the data that its own scores were calibrated on."""
+"""Metadata key that describes the data on which the scores of a checkpoint were calibrated."""
 
 
 class Predictor:
-    """Detector on a device, with the calibration of its scores if there is one."""
+    """Detector on a device, with its score calibration if one exists."""
 
     def __init__(
         self,
@@ -188,7 +188,7 @@ class Predictor:
         return self.weights.stem if shipped(self.weights) else str(self.weights)
 
     def reporting(self, min_score: float, *, batch_size: int | None = None) -> "Predictor":
-        """Return the same detector, with shared weights, that reports detections with scores above `min_score`.
+        """Return a detector with the same weights and a different score threshold, `min_score`.
 
         `batch_size` is the maximum number of images of one size per batch; None: unchanged.
         """
@@ -212,7 +212,7 @@ class Predictor:
 
     @property
     def calibrated(self) -> bool:
-        """Whether keypoint scores are probabilities that were calibrated for, or with, these weights."""
+        """Whether keypoint scores are calibrated, by the file beside the weights or in the weights."""
         return self._calibration is not None or CALIBRATED_KEY in self.metadata
 
     @property
@@ -222,7 +222,7 @@ class Predictor:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Files that determine the detections: weights and, if it exists, the calibration of their scores."""
+        """Files that determine the detections: the weights and, if it exists, their score calibration."""
         beside = () if self._calibration is None else (score_calibration.path_beside(self.weights),)
         return (self.weights, *beside)
 
@@ -264,12 +264,12 @@ class Predictor:
                     bar.write(f"{file.name}: about {minutes(seconds)} for {len(images)} images")
 
     def each(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
-        """Yield the results of images one by one as they become available, vehicles first."""
+        """Yield the results of each image as soon as they are available, vehicles first."""
         for batch in _batches(images, self.batch_size):
             yield from self._found(batch)
 
     def each_ahead(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
-        """Yield the same results if images can wait: batches are prepared, and on a GPU processed, in advance."""
+        """Yield the results of each image as `each` does, with batches prepared (on a GPU: processed) in advance."""
         if self._device.type != "cuda":
             return self.each(read_ahead(images, 2 * self.batch_size))
         pinned = ((image, _pinned(pixels)) for image, pixels in images)

@@ -1,8 +1,9 @@
-"""Calibration of keypoint scores to probabilities, with two numbers per keypoint applied to the heat map's maximum.
+"""Calibrate keypoint scores to probabilities, with two parameters per keypoint for the heat map's maximum.
 
 A keypoint's score is the probability that the point is visible and within alpha L of its true position, given that the
 vehicle exists. The method is Platt's (1999): a logistic regression of "visible and close enough" on the raw maximum,
-per keypoint, fitted to validation data. The fit is stored in a file beside the weights, which it identifies by digest.
+per keypoint, fitted to validation data. The parameters are stored in a file beside the weights. The file has the digest
+of its weights.
 """
 
 from collections.abc import Mapping
@@ -32,9 +33,9 @@ class CalibrationRules:
     iou: float = 0.6
     """Minimum IoU of a correct box."""
     prior_weight: float = 1.0
-    """Weight with which the two numbers of a keypoint are pulled towards those of all keypoints together, in
-    observations. A rarely visible keypoint takes the common values; one that is visible hundreds of times has its
-    own."""
+    """Weight of the prior that pulls the two parameters of a keypoint towards those of all keypoints together, in
+    observations. A rarely visible keypoint gets the common values; a keypoint that is visible hundreds of times
+    gets its own."""
     fit_steps: int = 50
     """Number of steps of the fit."""
 
@@ -44,14 +45,14 @@ CALIBRATION_RULES: Final = CalibrationRules()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ScoreCalibration:
-    """Calibration: score = 1 / (1 + exp(-(scale x raw maximum + offset)))."""
+    """Parameters of the calibration: score = 1 / (1 + exp(-(scale x raw maximum + offset)))."""
 
     scale: Array
-    """(33,) scale, never negative: a higher maximum never gives a lower score."""
+    """(33,) factor of the raw maximum; never negative, so that a higher maximum never gives a lower score."""
     offset: Array
     """(33,) value added to the scaled maximum."""
     fitted_on: dict[str, Any]
-    """Data of the fit, as words and counts for people."""
+    """Description of the data of the fit: names and counts."""
 
     def __call__(self, points: Array) -> Array:
         """Return a copy of (N, 33, 3) points of `skope.detector` with calibrated scores."""
@@ -152,12 +153,12 @@ def log_loss(score: Array, right: NDArray[np.bool_]) -> float:
 
 
 def path_beside(weights: Path) -> Path:
-    """Return the path of a checkpoint's calibration."""
+    """Return the path of a checkpoint's calibration: its name with the suffix `.calibration.json`."""
     return weights.with_suffix(".calibration.json")
 
 
 def check_calibration_free(weights: Path, work: Mapping[str, Any]) -> None:
-    """Raise a UserError if the calibration beside a checkpoint is the output of another run than `work`."""
+    """Raise a UserError if the calibration beside a checkpoint is the output of a different run than `work`."""
     path = path_beside(weights)
     if not path.exists():
         return
@@ -196,7 +197,7 @@ def write(
 
 
 def read(weights: Path, scheme: str = keypoints.SCHEME) -> ScoreCalibration | None:
-    """Return the calibration beside a checkpoint, or None; raise a UserError if it is for other weights."""
+    """Return the calibration beside a checkpoint, or None; raise a UserError if it was fitted to different weights."""
     path = path_beside(weights)
     if not path.is_file():
         return None

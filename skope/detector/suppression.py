@@ -19,12 +19,12 @@ PAIRS_AT_ONCE: Final = 1 << 26
 
 
 def not_overlapped(boxes: Tensor, good: Tensor, most: float) -> Tensor:
-    """Return the boxes that are kept if each kept box removes the worse boxes of its group that overlap it.
+    """Return which boxes remain after non-maximum suppression within each group.
 
     Args:
         boxes: (G, P, 4) xyxy, best first in each group.
-        good: (G, P) bool; other boxes are not kept and remove nothing.
-        most: IoU above which boxes overlap too much; greater than 0.
+        good: (G, P) bool; boxes that are False are neither kept nor remove a box.
+        most: IoU above which a kept box removes the worse ones; greater than 0.
 
     Returns:
         (G, P) bool.

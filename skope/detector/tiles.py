@@ -1,4 +1,4 @@
-"""Tiles for objects that are too small in the whole image: overlapping parts that the network sees unscaled.
+"""Detect small objects in tiles: overlapping parts of an image that pass through the network unscaled.
 
 The idea is that of slicing-aided inference (Akyon et al., 2022).
 """
@@ -22,7 +22,7 @@ class TileLimits:
     """Rules for cutting an image into tiles and merging their detections."""
 
     worth_factor: float = 1.25
-    """Factor over the size inside the network above which an image is cut into tiles."""
+    """Ratio of the image size to its size inside the network, above which the image is cut into tiles."""
     overlap: float = 0.15
     """Minimum overlap of neighbouring tiles, as a share of their sides."""
     edge_px: float = 3.0

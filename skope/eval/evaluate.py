@@ -53,7 +53,7 @@ class EvalJob:
     scheme: str = keypoints.SCHEME
     """Keypoint scheme of the detector."""
     beside_paper: bool = False
-    """Whether to print the published rows below ours."""
+    """Whether to print the rows of the paper below ours."""
 
 
 def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Read site files (`skope gen --site FILE.toml`); everything is checked before anything is written."""
+"""Read and check site files (`skope gen --site FILE.toml`), before any output is written."""
 
 import hashlib
 import math
@@ -39,9 +39,9 @@ class SiteLimits:
     """Limits of a user's own site."""
 
     seen_within_m: float = 150.0
-    """Maximum distance of visible lanes, metres; a camera must see at least one lane within it."""
+    """Distance within which the image of the camera must show at least one lane, metres."""
     highest_road_m: float = 5.0
-    """Maximum height of the road above or below 0, metres. Heights are meant to be relative to the road."""
+    """Maximum distance of the road's height from 0, metres. Heights in a site file are relative to the road."""
 
 
 SITE_LIMITS: Final = SiteLimits()
@@ -51,7 +51,7 @@ PHOTOGRAPH_CONDITIONS: Final[Mapping[str, Range]] = {
     "vignetting": (0.0, 0.0),
     "noise": (0.5, 1.5),
 }
-"""Ranges of conditions in front of a photograph, which already contains exposure, vignetting and noise."""
+"""Ranges of the conditions of a site with a photograph, which already contains exposure, vignetting and noise."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,15 +81,16 @@ def own_site(field: str, text: str) -> OwnSite | None:
     """Return the user's own site if `text` is a site file; None if it is the name of a site of the package.
 
     Raises:
-        UserError: It is neither or both (the message begins with `field`), or as for `read_generation_site`.
+        UserError: `text` names neither a site nor a file, or both; the message begins with `field`. Also as for
+            `read_generation_site`.
     """
     path = Path(text)
     if text not in sites():
         if path.suffix != ".toml" and not path.is_file():
-            raise UserError(f"{field}: {text!r} is no site file, and none of {', '.join(sites())}")
+            raise UserError(f"{field}: expected a site file (.toml) or one of {', '.join(sites())}; got {text!r}")
         return read_generation_site(path)
     if path.is_file():
-        raise UserError(f"{field}: {text} is a site of the package and a file here; write ./{text} for the file")
+        raise UserError(f"{field}: {text} is both a site of the package and a file here; write ./{text} for the file")
     return None
 
 
@@ -112,7 +113,8 @@ def read_generation_site(path: Path) -> OwnSite:
     camera = site_camera.camera
     if picture and abs(picture[0] * camera.height / (picture[1] * camera.width) - 1) > 0.01:
         raise table.wrong(
-            "background", f"is {picture[0]}x{picture[1]}, but the camera {camera.width}x{camera.height}: other shapes"
+            "background",
+            f"expected the aspect ratio of the camera ({camera.width}x{camera.height}), got {picture[0]}x{picture[1]}",
         )
     styled = table.file("style")
     road = OwnRoad(
@@ -128,7 +130,7 @@ def read_generation_site(path: Path) -> OwnSite:
     shades = tuple(_shade(row, camera) for row in table.tables("shades"))
     if occluders or shades:
         if not background:
-            raise table.wrong("occluders" if occluders else "shades", "are for a photograph: background is missing")
+            raise table.wrong("occluders" if occluders else "shades", "need a photograph, but background is missing")
         road = replace(road, occluders=occluders, shades=shades)
     light = table.table("light")
     weather, hour, sun = _light(light)
@@ -178,7 +180,7 @@ def _network(table: TomlTable) -> bytes:
     if path.name.endswith(".net.xml"):
         data = read_bytes(path)
         if lefthand or height:
-            raise table.wrong("lefthand" if lefthand else "ground_height", "is for maps that are converted")
+            raise table.wrong("lefthand" if lefthand else "ground_height", "applies to maps (.osm, .xodr) only")
         return data
     suffixes = "".join(path.suffixes).lower()
     kind = "osm" if ".osm" in suffixes else "opendrive" if suffixes.endswith(".xodr") else ""
@@ -217,7 +219,7 @@ def _occluder(row: TomlTable, camera: Camera, level: float) -> Occluder:
     down = float(rays @ camera.T_camera_world[:3, 2])
     distance = (level - camera.position[2]) / down if valid and down < 0 else math.inf
     if not distance < 2000:
-        raise row.wrong("foot", "is no pixel of the ground")
+        raise row.wrong("foot", "expected a pixel of the ground, within 2000 m")
     return Occluder(mark.polygon, round(distance, 3))
 
 
@@ -227,12 +229,12 @@ def _shade(table: TomlTable, camera: Camera) -> PixelOutline:
     table.done()
     rays, valid = camera.rays(outline)
     if not (valid & (rays @ camera.T_camera_world[:3, 2] < -1e-3)).all():
-        raise table.wrong("polygon", "reaches over the horizon")
+        raise table.wrong("polygon", "expected pixels of the ground, got some above the horizon")
     return outline
 
 
 def _light(table: TomlTable) -> tuple[str, str, dict[str, Range]]:
-    """Return weather, hour, and the position of the sun if it is known."""
+    """Return weather, hour, and conditions that set the position of the sun; empty if its position is not known."""
     weather, sun = table.text("weather", "clear"), {}
     if "when" in table:
         when = table.value("when")
@@ -242,9 +244,9 @@ def _light(table: TomlTable) -> tuple[str, str, dict[str, Range]]:
         elevation, azimuth = sun_direction(when, latitude, longitude)
         low, high = CONDITION_LIMITS["sun_elevation_deg"]
         if not low <= elevation <= high:
-            raise table.wrong("when", f"the sun stands {elevation:.1f} degrees high; {low:g} to {high:g} can be drawn")
+            raise table.wrong("when", f"expected a sun elevation of {low:g} to {high:g} degrees, got {elevation:.1f}")
         if "time_of_day" in table:
-            raise table.wrong("time_of_day", "is known from when")
+            raise table.wrong("time_of_day", "follows from when; leave it out")
         hour = time_of_day(elevation, azimuth)
         sun = {"sun_elevation_deg": (elevation, elevation), "sun_azimuth_deg": (azimuth, azimuth)}
     else:
@@ -272,15 +274,15 @@ def _conditions(table: TomlTable) -> dict[str, Range]:
 
 
 def _traffic(table: TomlTable, road: OwnRoad, graph: RoadGraph) -> tuple[float, str]:
-    """Return the vehicles per hour or the text of a route file; the other one is 0 or empty."""
+    """Return the vehicles per hour, and the text of the route file; 0 or empty for the value that is not given."""
     path = table.file("flows")
     if path is None:
         seen = graph.seen_by(road.camera, SITE_LIMITS.seen_within_m)
         if all(seen.isdisjoint(edges) for edges, _ in ways(Town.of(road).network)):
-            raise table.wrong("network", "no way from rim to rim passes the camera; give flows")
+            raise table.wrong("network", "no route across the network passes the camera; set flows")
         return table.number("vehicles_per_hour", low=1, high=1e5), ""
     if "vehicles_per_hour" in table:
-        raise table.wrong("vehicles_per_hour", "flows says it already")
+        raise table.wrong("vehicles_per_hour", "flows already sets the traffic; leave vehicles_per_hour out")
     text = read_bytes(path).decode("utf-8-sig", errors="replace")
     try:
         route_files.streams(text, Town.of(road).network)
@@ -325,22 +327,23 @@ def _checked_graph(table: TomlTable, road: OwnRoad) -> RoadGraph:
         x, y, _ = camera.position
         raise table.wrong(
             "network",
-            f"no lane for cars lies within {ROAD_LIMITS.own_roads_within_m:g} m of the camera at x {x:.0f}, y {y:.0f}"
+            f"no lane for cars within {ROAD_LIMITS.own_roads_within_m:g} m of the camera at x {x:.0f}, y {y:.0f}"
             f"{_span(graph)}",
         )
     level = graph.road_level(camera.position[:2])
     if abs(level) > SITE_LIMITS.highest_road_m:
         raise table.wrong(
             "network",
-            f"its road is at {level:.0f} m, expected about 0: set ground_height of a map, or run netconvert with "
-            f"--offset.z {-level:.0f}, and count the camera's height from there",
+            f"expected a road at a height of about 0 m, got {level:.0f} m: set ground_height (maps), or run netconvert "
+            f"with --offset.z {-level:.0f}; then give the camera's height over the road",
         )
     if camera.position[2] < level + 0.5:
-        raise table.wrong("camera", f"hangs at {camera.position[2]:.2f} m, but the road lies at {level:.2f} m")
-    if not graph.seen_by(camera, SITE_LIMITS.seen_within_m):
         raise table.wrong(
-            "camera", f"no lane of the network nearer than {SITE_LIMITS.seen_within_m:g} m is in its image"
+            "camera",
+            f"expected a height of at least {level + 0.5:.2f} m (0.5 m over the road), got {camera.position[2]:.2f} m",
         )
+    if not graph.seen_by(camera, SITE_LIMITS.seen_within_m):
+        raise table.wrong("camera", f"its image shows no lane of the network within {SITE_LIMITS.seen_within_m:g} m")
     return graph
 
 

@@ -1,11 +1,11 @@
-"""95% intervals for every figure, from its variation between the recordings or sites of a split.
+"""95% confidence intervals of metrics, from their variation between the recordings or sites of a split.
 
 Frames half a second apart show the same vehicles in nearly the same positions. All frames of a recording share its
 weather, light and camera. Frames are therefore not independent evidence; blocks of frames are.
 
 A block is a site if a split has at least three sites, else a recording, else ten seconds of a single recording. The
-standard error of a figure is that of the jackknife, which leaves out one block at a time. The interval uses Student's t
-with one degree of freedom less than there are blocks (MacKinnon, Nielsen and Webb, 2023, on few clusters).
+standard error of a metric is that of the jackknife, which leaves out one block at a time. The confidence interval uses
+Student's t with one degree of freedom less than there are blocks (MacKinnon, Nielsen and Webb, 2023, on few clusters).
 """
 
 import math
@@ -83,7 +83,7 @@ def blocks_of(images: Sequence[Image]) -> Blocks:
 
 
 def left_out(values: Quotients, blocks: Blocks) -> dict[Name, Array]:
-    """Return (B,) values of each figure with one of the B blocks left out.
+    """Return (B,) values of each metric with one of the B blocks left out.
 
     A value is NaN if the denominator of the block, or of the rest, is 0.
     """
@@ -96,12 +96,12 @@ def left_out(values: Quotients, blocks: Blocks) -> dict[Name, Array]:
 
 
 def jackknife_error(without: Array) -> tuple[float, int]:
-    """Return the jackknife standard error of a figure, and its degrees of freedom.
+    """Return the jackknife standard error of a metric, and its degrees of freedom.
 
     The squared error is Tukey's: (n - 1) / n times the sum of squared deviations from the mean.
 
     Args:
-        without: (B,) values of the figure with one block left out; NaN for a block without data.
+        without: (B,) values of the metric with one block left out; NaN for a block without data.
     """
     values = without[~np.isnan(without)]
     count = len(values)
@@ -110,7 +110,7 @@ def jackknife_error(without: Array) -> tuple[float, int]:
 
 
 def share_interval(value: float | None, without: Array) -> Interval:
-    """Return the interval of a share, computed in log odds.
+    """Return the confidence interval of a share, computed in log odds.
 
     Args:
         value: The share; None if not available.
@@ -137,14 +137,14 @@ def t_quantile(freedom: int) -> float:
 
 
 def intervals(values: Quotients, blocks: Blocks) -> dict[str, Any]:
-    """Return 95% intervals of all figures, from the jackknife over blocks.
+    """Return 95% confidence intervals of metrics, from the jackknife over blocks.
 
     Args:
-        values: Figure -> (N,) numerators and (N,) denominators of the images, as from `outcome_counts.quotients`.
+        values: Metric -> (N,) numerators and (N,) denominators of the images, as from `outcome_counts.quotients`.
         blocks: The blocks of the images.
 
     Returns:
-        [low, high] of each figure, or None if there is no interval, in the layout of `metrics.json`.
+        [low, high] of each metric, or None without a confidence interval, in the layout of `metrics.json`.
     """
     without = left_out(values, blocks)
     found = {name: share_interval(_whole(columns), without[name]) for name, columns in values.items()}
@@ -152,16 +152,16 @@ def intervals(values: Quotients, blocks: Blocks) -> dict[str, Any]:
 
 
 def difference(a: Quotients, b: Quotients, blocks: Blocks, name: Name) -> Interval:
-    """Return the 95% interval of the difference b - a of a figure, paired: the same block is left out of both.
+    """Return the 95% confidence interval of the difference b - a of a metric, with the same block left out of both.
 
     Args:
-        a: Numerators and denominators of the first detector's figures.
-        b: Numerators and denominators of the second detector's figures, over the same images.
+        a: Numerators and denominators of the first detector's metrics.
+        b: Numerators and denominators of the second detector's metrics, over the same images.
         blocks: The blocks of the images.
-        name: The figure.
+        name: The metric.
 
     Returns:
-        Low and high; None if there is no interval.
+        Low and high; None if a value or a second block is missing.
     """
     ours, theirs = _whole(a[name]), _whole(b[name])
     gaps = left_out({name: b[name]}, blocks)[name] - left_out({name: a[name]}, blocks)[name]
@@ -173,5 +173,5 @@ def difference(a: Quotients, b: Quotients, blocks: Blocks, name: Name) -> Interv
 
 
 def _whole(columns: tuple[Array, Array]) -> float | None:
-    """Return a figure over all images, from its numerators and denominators; None if the denominator is 0."""
+    """Return a metric over all images, from its numerators and denominators; None if the denominator is 0."""
     return ratio(*(float(column.sum()) for column in columns))

@@ -1,5 +1,5 @@
 """Traffic from tracks: events at gates, zones and lanes, counts, movements, speeds, queues, conflicts.
 
-Measures are pure functions over `Track` in metres and seconds, each with how uncertain it is; `measure` runs them
-in order. docs/traffic-files.md has the definitions.
+Measures are pure functions over `Track` in metres and seconds, and report their uncertainty. `measure` runs them in
+order. docs/traffic-files.md has the definitions.
 """

@@ -1,4 +1,4 @@
-"""Uncertainty of a conflict, from random draws of the positions and speeds of both road users."""
+"""Estimate the uncertainty of a conflict from random samples of the positions and speeds of both road users."""
 
 import math
 from dataclasses import dataclass, replace
@@ -19,16 +19,16 @@ from skope.types import Array
 
 @dataclass(frozen=True)
 class ConflictUncertainty:
-    """Minimum quality of tracks in conflicts, and number of draws for their uncertainty."""
+    """Minimum quality of tracks in conflicts, and number of samples for the uncertainty of conflicts."""
 
     step_s: float = 0.1
     """Time step at which pairs are examined, seconds, as in SSAM."""
     horizon_s: float = 3.0
     """Minimum look-ahead for collisions when computing decelerations, seconds. A larger `ttc_s` replaces it."""
     samples: int = 200
-    """Number of draws of positions and speeds for the uncertainty of a time to collision."""
+    """Number of samples of positions and speeds for the uncertainty of a time to collision."""
     braking_samples: int = 60
-    """Number of draws for the uncertainty of a deceleration, which takes longer to compute."""
+    """Number of samples for the uncertainty of a deceleration, which takes longer to compute."""
     fewest_positions: int = 10
     """Smallest number of positions of a road user in a conflict."""
     shortest_s: float = 2.0
@@ -36,7 +36,8 @@ class ConflictUncertainty:
     around_s: float = 1.0
     """Time before and after a conflict in which gaps are searched for, seconds."""
     longest_gap_s: float = 0.6
-    """Longest gap between positions in that time, seconds. A detector on key frames gives two positions per second."""
+    """Longest gap between positions within `around_s` of a conflict, seconds. On key frames, a detector gives two
+    positions per second."""
     worst_sigma_m: float = 0.5
     """Largest standard deviation of the position at the conflict, metres."""
 
@@ -69,7 +70,7 @@ def ttc_interval(
     settings: TrafficSettings,
     rng: np.random.Generator,
 ) -> tuple[float, float, float]:
-    """Return the interval of a time to collision, and the probability that it is within the limit.
+    """Return the confidence interval of a time to collision, and the probability that the time is within the limit.
 
     Args:
         first: Path of the first road user.
@@ -79,8 +80,8 @@ def ttc_interval(
         rng: Random generator for positions and speeds.
 
     Returns:
-        Low and high end of the 90% interval, seconds (infinite: there may be no collision), and the probability that
-        the time is within the limit and both are road users.
+        Low and high end of the 90% confidence interval, seconds (infinite: there may be no collision), and the
+        probability that the time is within the limit and both are road users.
     """
     index, states = _drawn(first, second, row, rng)
     drawn = times_to_collision(first, second, index, _farthest_s(settings), states)
@@ -109,7 +110,7 @@ def hardest_needed(
         common_scale_sigma: Relative standard deviation of the scale, which all distances and speeds share.
 
     Returns:
-        The deceleration, m/s², and the low and high end of its 90% interval; all NaN if there is no collision.
+        The deceleration, m/s², and the low and high end of its 90% confidence interval; all NaN without a collision.
     """
     drac = deceleration_to_avoid(first, second, rows, seconds)
     if not len(drac) or drac.max() <= 0:
@@ -129,7 +130,7 @@ def hardest_needed(
 def surely_encroaches(first: FootprintPath, second: FootprintPath, i: int, j: int, most_s: float) -> bool:
     """Return whether there is an encroachment even if both road users are smaller than measured.
 
-    Length and width of each are reduced by the width of the 90% interval of its position.
+    Length and width of each road user are reduced by the width of the 90% confidence interval of its position.
 
     Args:
         first: Path of the first road user.
@@ -174,12 +175,12 @@ def pet_sigma(first: FootprintPath, second: FootprintPath, reached: Encroachment
 
 
 def in_order(times: tuple[float, float], reached: Encroachment) -> tuple[float, float]:
-    """Return two times, given in order of arrival, in the order of the arguments of the search: first, second."""
+    """Reorder two times from order of arrival to the order of the search's arguments: first, second."""
     return times[::-1] if reached.swapped else times
 
 
 def _farthest_s(settings: TrafficSettings) -> float:
-    """Return the look-ahead for collisions of random draws, seconds. It is four times that of the measured one."""
+    """Return the look-ahead for collisions of random samples, seconds: four times that of the measured states."""
     return 4 * max(settings.ttc_s, CONFLICT_UNCERTAINTY.horizon_s)
 
 
@@ -190,7 +191,7 @@ def _drawn(
     rng: np.random.Generator,
     count: int = CONFLICT_UNCERTAINTY.samples,
 ) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], SampledStates]:
-    """Return one pair of rows, repeated `count` times, with randomly drawn positions and speeds."""
+    """Return one pair of rows, repeated `count` times, with randomly sampled positions and speeds."""
     shifts, speeds = [], []
     for path, row in zip((first, second), rows, strict=True):
         time_s, trajectory = float(path.times_s[row]), path.trajectory
@@ -202,7 +203,7 @@ def _drawn(
 
 
 def _middle(drawn: Array) -> tuple[float, float]:
-    """Return the central interval of the draws at `INTERVAL_LEVEL` (90%). Infinite values sort last."""
+    """Return the central interval of the samples at `INTERVAL_LEVEL` (90%); infinite values sort last."""
     tail = round(len(drawn) * (1 - INTERVAL_LEVEL) / 2)
     ordered = np.sort(drawn)
     return float(ordered[tail]), float(ordered[-1 - tail])

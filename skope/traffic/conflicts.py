@@ -1,5 +1,4 @@
-"""Conflicts: pairs of road users that would collide if both continued, or that use the same place shortly after each
-other.
+"""Find conflicts: pairs of road users on a collision course, or shortly after each other in the same place.
 
 A conflict is made from an encounter: two road users close to a collision, or one after the other in the same place.
 """
@@ -41,7 +40,7 @@ class ConflictLimits:
     block_rows: int = 400
     """Number of moments that are computed together. It bounds memory."""
     crossing_deg: float = 80.0
-    """Angle from which paths cross (SSAM), degrees. Between `rear_end_deg` and this it is a lane change."""
+    """Minimum angle of a crossing conflict (SSAM), degrees. Below it, and above `rear_end_deg`, it is a lane change."""
 
 
 CONFLICT_LIMITS: Final = ConflictLimits()
@@ -68,7 +67,7 @@ class Encounter:
 
     @property
     def close(self) -> bool:
-        """Whether a collision is ahead within the limit."""
+        """Whether a collision is ahead within the limit of the time to collision."""
         return not math.isnan(self.ttc_s)
 
     def in_order(self) -> tuple[tuple[FootprintPath, float], tuple[FootprintPath, float]]:
@@ -91,8 +90,8 @@ def find_encounter(first: FootprintPath, second: FootprintPath, settings: Traffi
         settings: `ttc_s` and `pet_s` are the limits.
 
     Returns:
-        The encounter. None if there is none, if one road user only follows the other, or if it is uncertain that they
-        use the same place.
+        The encounter. None without an encounter, if one road user only follows the other, or if it is uncertain whether
+        both use the same place.
     """
     rows, seconds = _approaches(first, second, settings)
     least = int(seconds.argmin()) if len(seconds) else 0
@@ -135,7 +134,7 @@ def rows_together(first: FootprintPath, second: FootprintPath) -> tuple[NDArray[
 def _approaches(
     first: FootprintPath, second: FootprintPath, settings: TrafficSettings
 ) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Array]:
-    """Return the rows of the times at which the two are near each other, and the times to their collision."""
+    """Return the rows at which both road users are near each other, and the times to their collision."""
     a, b = rows_together(first, second)
     horizon = max(settings.ttc_s, CONFLICT_UNCERTAINTY.horizon_s)
     speeds = first.speed[a] + second.speed[b]
@@ -176,13 +175,13 @@ class Conflict:
 
     first: Track
     second: Track
-    """Road user that reaches the place of `first` later. Without an encroachment: the road user behind."""
+    """Road user that reaches the place after `first`; without an encroachment, the road user behind."""
     time_s: float
-    """Time of the smallest time to collision. Without one: time at which `second` reaches the place. Seconds of the
-    footage."""
+    """Time of the smallest time to collision, seconds of the footage. Without a time to collision: time at which
+    `second` reaches the place."""
     first_s: float
-    """Time of the smallest time to collision. Without one: time at which `first` was at the place. Seconds of the
-    footage."""
+    """Time of the smallest time to collision, seconds of the footage. Without a time to collision: time at which
+    `first` was at the place."""
     position: Array
     """(2,) midpoint between the two road users at the conflict, metres."""
     zone: str
@@ -195,14 +194,14 @@ class Conflict:
     """Smallest time to collision, seconds; NaN if there is none up to the limit."""
     ttc_low_s: float
     ttc_high_s: float
-    """`ttc_low_s` and `ttc_high_s` are the 90% interval of `ttc_s`; infinite: there may be no collision."""
+    """`ttc_low_s` and `ttc_high_s` are the 90% confidence interval of `ttc_s`; infinite: there may be no collision."""
     probability: float
     """Probability that the time to collision is within the limit and both are road users; NaN without `ttc_s`."""
     drac_ms2: float
     """Largest deceleration rate to avoid a crash, m/s^2; NaN if there is no collision ahead."""
     drac_low_ms2: float
     drac_high_ms2: float
-    """`drac_low_ms2` and `drac_high_ms2` are the 90% interval of `drac_ms2`."""
+    """`drac_low_ms2` and `drac_high_ms2` are the 90% confidence interval of `drac_ms2`."""
     pet_ssam_s: float
     """Post-encroachment time by SSAM's definition, seconds; NaN if there is none up to the limit."""
     pet_area_s: float
@@ -218,10 +217,10 @@ class ConflictSearch:
 
     conflicts: tuple[Conflict, ...]
     overlapping: int
-    """Number of pairs with footprints that overlap or touch: two tracks of one vehicle, or wrong positions. They are no
-    conflicts."""
+    """Number of pairs excluded because their footprints overlap or touch: two tracks of one vehicle, or wrong
+    positions."""
     poorly_tracked_pairs: int
-    """Number of pairs with a track that is too poor at the encounter to call it a conflict."""
+    """Number of pairs excluded because a track is too poor at the encounter."""
 
 
 def conflicts(
@@ -231,15 +230,15 @@ def conflicts(
     zones: Sequence[Zone] = (),
     common_scale_sigma: float = 0.0,
 ) -> ConflictSearch:
-    """Find all pairs with a time to collision up to `settings.ttc_s`, or with paths that cross within `settings.pet_s`.
+    """Find the conflicts: a time to collision up to `settings.ttc_s`, or paths that cross within `settings.pet_s`.
 
     Args:
         trajectories: All tracks, in metres. Tracks with the flag `implausible_speed` are excluded.
         settings: Limits of the two times.
         rng: Random generator for positions and speeds, which give the uncertainty of a conflict.
         zones: Zones. A conflict gets the name of the first zone that contains it.
-        common_scale_sigma: Relative standard deviation of the scale, which all distances and speeds share. It cancels
-            in times and widens the intervals of decelerations.
+        common_scale_sigma: Relative standard deviation of the scale, which all distances and speeds share. The scale
+            error cancels in times. It widens the confidence intervals of decelerations.
 
     Returns:
         The conflicts in order of time, and the numbers of excluded pairs.

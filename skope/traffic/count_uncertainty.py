@@ -1,14 +1,14 @@
-"""Interval of a true number around a count, from its false and its missing crossings.
+"""Compute the confidence interval of a true number from a count, with its false and its missing crossings.
 
 If F counted crossings are false and A are missing, the true number is count - F + A. F is a sum of trials with
 individual probabilities (a Poisson binomial number; Hong, "On computing the distribution function for the Poisson
 binomial distribution", 2013). A has three parts: crossings that were detected and not counted, tracks that were lost
-near the gate, and road users that were never detected. If a share m of all road users is never detected, their number
-is negative binomial, given the number counted. m has a Beta distribution.
+near the gate, and road users that were never detected. If a share m of all road users is never detected, the
+number of undetected road users is negative binomial, given the number counted. m has a Beta distribution.
 
-The interval is from the count less the 95% quantile of F to the count plus the 95% quantile of A. The probability that
-the true number lies below it is at most 5%, and so is the probability that it lies above. The interval always includes
-the count.
+The confidence interval is from the count less the 95% quantile of F to the count plus the 95% quantile of A. The
+probability that the true number lies below it is at most 5%, and so is the probability that it lies above. The
+confidence interval always includes the count.
 """
 
 from collections.abc import Iterable, Sequence
@@ -34,7 +34,7 @@ class DistributionLimits:
     """Truncation of count distributions."""
 
     mass: float = 0.9999
-    """Share of a distribution's probability that is computed. The rest is added to its last number."""
+    """Share of a distribution's probability that is computed. The rest is added to the last number."""
     largest_count: int = 2**20
     """Largest number that is computed."""
 
@@ -56,12 +56,12 @@ def in_words(interval: CountInterval | None) -> str:
 
 
 def in_cells(interval: CountInterval | None) -> tuple[int | None, int | None]:
-    """Return the table cells low and high; both None if there is no interval."""
+    """Return the table cells low and high; both None without a confidence interval."""
     return (None, None) if interval is None else (interval.low, interval.high)
 
 
 def in_json(interval: CountInterval | None) -> dict[str, int]:
-    """Return the JSON entries low and high; empty if there is no interval."""
+    """Return the JSON entries low and high; empty without a confidence interval."""
     return {} if interval is None else {"low": interval.low, "high": interval.high}
 
 
@@ -76,7 +76,7 @@ class CountErrors:
     possible: int = 0
     """Number of tracks that were lost near the gate and may have crossed it."""
     came: Beta = (1.0, 1.0)
-    """Share of `possible` that did cross."""
+    """Share of the tracks in `possible` that did cross the gate."""
     missed: Beta = (0.0, 1.0)
     """Share of all road users that is never detected."""
 
@@ -91,7 +91,7 @@ class CountErrors:
 
 
 def poisson_binomial(probabilities: Sequence[float]) -> Array:
-    """Return (N + 1,) probabilities that 0 to N of N independent events with probabilities (N,) happen."""
+    """Return (N + 1,) probabilities that 0, 1, ... N of N independent events happen, from their probabilities (N,)."""
     out = np.ones(1)
     for p in probabilities:
         out = np.convolve(out, [1 - p, p])
@@ -99,7 +99,7 @@ def poisson_binomial(probabilities: Sequence[float]) -> Array:
 
 
 def missed_pmf(counted: int, missed: Beta) -> Array:
-    """Return (M + 1,) probabilities of the number that was never detected, given the number that was counted.
+    """Return (M + 1,) probabilities of the number of undetected road users, given the number that was counted.
 
     The distribution is beta negative binomial: failures before `counted` + 1 successes, with a detection probability
     of Beta(b, a). The 1 represents a flat prior of the true number.
@@ -126,16 +126,16 @@ class CountDistribution:
     errors: Sequence[CountErrors]
     """Possible errors, by groups of road users that share one miss rate."""
     shifts: Sequence[int] = field(default_factory=tuple)
-    """Differences of the count under cameras drawn from the calibration covariance. Empty if the camera's error does
-    not move the gate."""
+    """Changes of the count under camera parameters sampled from the calibration covariance. Empty if the camera's error
+    does not move the gate."""
 
     def interval(self) -> CountInterval:
-        """Return the 90% interval of the true number. It includes the count."""
+        """Return the 90% confidence interval of the true number, which always includes the count."""
         false, added = self._pmfs()
         return CountInterval(max(0, self.count - _quantile(false)), self.count + _quantile(added))
 
     def number_pmf(self) -> tuple[int, Array]:
-        """Return the smallest possible true number and the (N,) probabilities of the numbers from there on."""
+        """Return the smallest possible true number, and (N,) probabilities of this number and the following ones."""
         false, added = self._pmfs()
         return self.count - len(false) + 1, np.convolve(false[::-1], added)
 
@@ -147,7 +147,7 @@ class CountDistribution:
 
 
 def count_interval(probabilities: Sequence[float], missed: Beta) -> CountInterval:
-    """Return the 90% interval of the true number of events.
+    """Return the 90% confidence interval of the true number of events.
 
     Args:
         probabilities: (N,) probability for each counted event that it is real.

@@ -1,4 +1,4 @@
-"""Counting intervals by the clock, also on days of 23 and 25 hours."""
+"""Divide footage into counting intervals by the clock, also on days of 23 and 25 hours."""
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, tzinfo
@@ -17,7 +17,7 @@ CLOCK_STEP: Final = timedelta(seconds=1)
 
 @dataclass(frozen=True, kw_only=True)
 class ClockInterval:
-    """Part of the footage from `begin_s` up to but excluding `end_s`, seconds of the footage."""
+    """Counting interval: part of the footage from `begin_s` up to but excluding `end_s`, seconds of the footage."""
 
     begin_s: float
     end_s: float
@@ -57,7 +57,7 @@ def time_of(text: Any, where: str, like: str = "2026-11-26T10:00:00") -> datetim
 
 
 def clock_intervals(start: datetime | None, begin_s: float, end_s: float, minutes: int) -> list[ClockInterval]:
-    """Return the clock intervals that overlap the footage from `begin_s` to `end_s`.
+    """Return the counting intervals that overlap the footage from `begin_s` to `end_s`.
 
     Intervals begin at multiples of `minutes` from midnight. An interval ends at a clock change, where the next interval
     begins. No interval is therefore longer than `minutes`, and the repeated hour in autumn has its intervals twice.
@@ -94,7 +94,7 @@ def clock_intervals(start: datetime | None, begin_s: float, end_s: float, minute
 
 
 def _around(at: datetime, zone: tzinfo, minutes: int) -> tuple[datetime, datetime]:
-    """Return start and end, in UTC, of the interval that contains an instant in UTC."""
+    """Return start and end, in UTC, of the counting interval that contains an instant in UTC."""
     offset = _offset(at, zone)
     wall = (at + offset).replace(tzinfo=None)
     midnight = wall.replace(hour=0, minute=0, second=0, microsecond=0)

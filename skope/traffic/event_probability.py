@@ -29,35 +29,36 @@ class EventFactors:
     most_positions: int = 48
     """Number of positions above which the probability of an event no longer grows."""
     doubted: float = 0.75
-    """Factor for a track with one of `DOUBTED_FLAGS`."""
+    """Factor on the probability of an event of a track with one of `DOUBTED_FLAGS`."""
     short_s: float = 0.5
-    """A crossing is in doubt if the track was located for less than this before it, or after it, seconds."""
+    """Minimum time for which a track must be located before and after a crossing, seconds; else the crossing is in
+    doubt."""
     around_s: float = 1.5
     """Half of the period around a crossing that is searched for gaps, seconds."""
     gap_s: float = 0.5
-    """A crossing is in doubt if a gap around it exceeds the usual step by more than this, seconds."""
+    """Maximum excess of a gap around a crossing over the usual step, seconds; above it the crossing is in doubt."""
     usual_step_s: float = 0.1
     """Time between positions if no track gives it, seconds."""
     jumping: float = 0.1
-    """Factor for a crossing at a speed above `FASTEST_MPS`."""
+    """Factor on the probability of a crossing at a speed above `FASTEST_MPS`."""
     same_vehicle: tuple[float, float, float] = (6.13, -3.55, -1.54)
     """Coefficients of the log odds that a track is one vehicle from one gate to the next: intercept; log(0.1 s +
     longest gap); log(1 s + time). Of 526 such tracks 13 had switched to another vehicle, 12 of them in a gap of at
     least 1 s."""
     same_pedestrian: tuple[float, float] = (-1.91, -4.54)
-    """The same for pedestrians: intercept; log(0.05 m + largest standard deviation of the position). Of 43 tracks
-    25 had switched to another pedestrian."""
+    """Coefficients of the log odds that a track is one pedestrian from one gate to the next: intercept; log(0.05 m +
+    largest standard deviation of the position). Of 43 tracks 25 had switched to another pedestrian."""
     same_rider: float = 0.976
-    """Probability for two-wheelers: 41 of 42 tracks belonged to one road user."""
+    """Probability that a track is one two-wheeler from one gate to the next: 41 of 42 tracks were."""
     few_lost: int = 2
-    """Number of lost tracks that any gate may have."""
+    """Number of lost tracks at a gate that never prevents a confidence interval."""
 
 
 EVENT_FACTORS: Final = EventFactors()
 
 DOUBTED_FLAGS: Final = frozenset({"two_poses", "impossible_motion", "against_traffic"})
 FASTEST_MPS: Final[Mapping[str, float]] = {"bicycle": 16.0, "pedestrian": 6.0}
-"""Speed at a crossing above which a track jumps from one road user to another, m/s."""
+"""Speed at a crossing, m/s, above which the track probably jumps between two road users."""
 _TWO_WHEELED: Final = frozenset({"bicycle", "motorcycle"})
 
 
@@ -67,16 +68,16 @@ class MissRateGroup:
 
     classes: frozenset[str]
     missed: Beta
-    """Share that is never detected, as a Beta distribution over gates."""
+    """Share of road users that is never detected, as a Beta distribution over gates."""
     came: Beta
     """Share of the tracks lost near a gate (`skope.traffic.missed_crossings`) that did cross it, as a Beta distribution
     over gates."""
     real: float = 1.0
     """Factor on the probability of crossings, from manual counts."""
     rejects_losing_gates: bool = False
-    """Whether a gate has no interval if more tracks are lost at it than cross it."""
+    """Whether counts get no confidence interval at a gate at which more tracks are lost than cross."""
     too_small: bool = False
-    """Whether there is never an interval, because too few road users of these classes are detected."""
+    """Whether counts never get a confidence interval, because too few road users of these classes are detected."""
 
     @property
     def mean_missed(self) -> float:
@@ -147,16 +148,16 @@ def _beta(values: Sequence[float]) -> Beta:
 
 
 def event_probability(track: Track) -> float:
-    """Return the probability that an event of this track happened and that no other track has it too.
+    """Return the probability that an event of a track happened, and is not also an event of a second track.
 
-    It follows Laplace's rule of succession over the number of measured positions.
+    The probability follows from the number of measured positions by Laplace's rule of succession.
     """
     positions = min(int(track.located.sum()), EVENT_FACTORS.most_positions)
     return (positions + 1) / (positions + 2) * undoubted(track)
 
 
 def crossing_probability(track: Track, time_s: float, step_s: float, *, metres: bool = True) -> float:
-    """Return the probability that a road user crossed a gate and that no other track counts it there.
+    """Return the probability that a road user crossed a gate, and is not also counted there by a second track.
 
     Args:
         track: The track that crosses.

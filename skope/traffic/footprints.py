@@ -11,7 +11,7 @@ from skope.types import Array
 
 UNIT_CORNERS: Final = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 _NODE_M: Final = 0.3
-"""Minimum distance between nodes of a path, metres. Jitter of positions therefore does not lengthen the path."""
+"""Minimum distance between nodes of a path, metres, so that jitter of positions does not lengthen the path."""
 
 
 def footprint_corners(centre: Array, facing: Array, size: tuple[float, float]) -> Array:

@@ -1,4 +1,4 @@
-"""Counts of crossings at each gate by direction, lane, class and interval, and passenger-car equivalents (PCE)."""
+"""Count crossings at each gate by direction, lane, class and counting interval, with passenger-car equivalents."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,10 +21,10 @@ class CountLimits:
     """Minimum shares for complete counts and known classes."""
 
     known_share: float = 0.5
-    """Minimum share of vehicles with a known class at a gate and direction. Below it there are no passenger-car
-    equivalents."""
+    """Minimum share of vehicles with a known class at a gate and direction. Below it, passenger-car equivalents are not
+    available."""
     observed_share: float = 0.999
-    """Fraction of an interval that must be observed for its count to be complete."""
+    """Fraction of a counting interval that must be observed for its count to be complete."""
 
 
 COUNT_LIMITS: Final = CountLimits()
@@ -68,11 +68,11 @@ ALL_CLASSES: Final = "all"
 
 @dataclass(frozen=True, kw_only=True)
 class Count:
-    """Number of road users of a class, or in a lane, that crossed a gate in an interval."""
+    """Number of road users of a class, or in a lane, that crossed a gate in a counting interval."""
 
     interval: ClockInterval
     observed_s: float
-    """Observed part of the interval, seconds."""
+    """Observed part of the counting interval, seconds."""
     gate: str
     direction: str
     lane: str
@@ -82,20 +82,20 @@ class Count:
     count: int | None
     """Number of counted crossings; None if nothing was observed."""
     confidence_interval: CountInterval | None
-    """90% interval of the true number in the observed time. None if nothing was observed, no road user was ever seen
-    near the gate, more vehicles are lost at it than cross it, or for class `unknown`."""
+    """90% confidence interval of the true number in the observed time. None if nothing was observed, no road user was
+    ever seen near the gate, more vehicles are lost than counted there, or for class `unknown`."""
     pce: float | None = None
     """Passenger-car equivalents of the counted road users. None for rows of one class or of vehicles, if nothing was
     observed, or if too few vehicles at the gate have a known class."""
 
     @property
     def observed(self) -> str:
-        """Observed part of the interval: "full", "partial" or "none"."""
+        """Observed part of the counting interval: "full", "partial" or "none"."""
         return observed_word(self.interval, self.observed_s)
 
 
 def observed_word(interval: ClockInterval, observed_s: float) -> str:
-    """Return how much of an interval was observed: "full", "partial" or "none"."""
+    """Return how much of a counting interval was observed: "full", "partial" or "none"."""
     if observed_s <= 0:
         return "none"
     return "full" if observed_s >= COUNT_LIMITS.observed_share * (interval.end_s - interval.begin_s) else "partial"
@@ -112,10 +112,10 @@ def interval_counts(
     *,
     by_class: bool = True,
 ) -> list[Count]:
-    """Count crossings for each interval, gate and direction: all, vehicles, each class and each lane.
+    """Count crossings for each counting interval, gate and direction: all, vehicles, each class and each lane.
 
-    A count is 0 if nothing crossed, and None if nothing was observed. Vehicles have separate rows if other classes are
-    counted too.
+    A count is 0 if nothing crossed, and None if nothing was observed. Vehicles have separate rows if further
+    classes are counted.
 
     Args:
         crossings: The crossings that are counted.
@@ -223,9 +223,10 @@ def row_interval(
     lane: str,
     classes: Collection[str],
 ) -> CountInterval | None:
-    """Return the interval of the true number of a row at a gate.
+    """Return the confidence interval of the true number of a row at a gate.
 
-    It includes road users that may have been missed, manual counts, and other possible cameras.
+    The confidence interval accounts for road users that may have been missed, manual counts, and the error of the
+    camera parameters.
 
     Args:
         crossings: Crossings of the gate, direction and interval, including those that are not counted.
@@ -236,7 +237,7 @@ def row_interval(
         classes: The classes of the row.
 
     Returns:
-        The interval; None in the cases of `confidence_interval`.
+        The confidence interval; None in the cases of `confidence_interval`.
     """
     most = partial(unseen.most, *side, interval)
     count = sum(is_in_row(crossing, lane, classes) for crossing in crossings)
@@ -263,7 +264,7 @@ def confidence_interval(
     classes: Collection[str],
     shifts: Sequence[int] = (),
 ) -> CountInterval | None:
-    """Return the interval of the true number of a row of classes, in one lane or in all lanes.
+    """Return the confidence interval of the true number of a row of classes, in one lane or in all lanes.
 
     Args:
         crossings: Crossings of the gate, direction and interval, including those that are not counted.
@@ -271,10 +272,10 @@ def confidence_interval(
         most: Maps classes to the number of their lost tracks that may have crossed.
         lane: Name of a lane, or `ALL_CLASSES`.
         classes: The classes of the row.
-        shifts: Differences of the row's count under other cameras (`CountDistribution.shifts`).
+        shifts: Changes of the row's count under sampled camera parameters (`CountDistribution.shifts`).
 
     Returns:
-        The interval. None for class `unknown`, or if too few of the road users are detected at the gate.
+        The confidence interval. None for class `unknown`, or if too few of the road users are detected at the gate.
     """
     distribution = distribution_of(crossings, kinds, most, lane, classes, shifts)
     return None if distribution is None else distribution.interval()

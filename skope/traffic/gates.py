@@ -1,4 +1,4 @@
-"""Gate crossings: one event each time that a road user moves from one side of a gate to the other."""
+"""Find gate crossings: one event each time that a road user moves to the other side of a gate."""
 
 import math
 from collections.abc import Sequence
@@ -28,15 +28,16 @@ class GateLimits:
     """Settings for finding crossings."""
 
     camera_draws: int = 24
-    """Number of cameras drawn from the calibration covariance. Surveyed gates are counted again under each of them."""
+    """Number of sets of camera parameters sampled from the calibration covariance. Surveyed gates are counted again
+    under each set."""
     gate_spots: int = 9
     """Number of points on a surveyed gate that are projected."""
     seed: int = 0
-    """Random seed of the camera draws."""
+    """Random seed for sampling camera parameters."""
     slowest_mps: float = 0.05
     """Speed along the normal below which a position does not refine the time, m/s."""
     hysteresis_sigmas: float = 3.0
-    """Minimum hysteresis, in standard deviations of a position along the gate's normal. It covers the position noise
+    """Minimum hysteresis, in standard deviations of a position along the gate's normal; enough for the position noise
     of a stopped vehicle."""
     near_m: float = 5.0
     """Positions within this distance of a gate set its hysteresis, metres."""
@@ -66,7 +67,7 @@ class GateCrossing:
     direction: int
     """0: from the left of the gate, as it is drawn, to its right. 1: from right to left."""
     direction_name: str
-    """Name of that direction; "1" and "2" if the user gives none."""
+    """Name of `direction`; "1" or "2" if the user gives none."""
     time_s: float
     """Time at which the body's centre crosses, seconds of the footage."""
     sigma_s: float
@@ -82,17 +83,17 @@ class GateCrossing:
     speed_sigma: float
     """Standard deviation of `speed`, m/s."""
     lane: str
-    """Name of the lane; empty if the crossing is in none."""
+    """Name of the lane; empty for a crossing outside all lanes."""
     lane_probability: float
     """Probability that `lane` is right."""
     probability: float
     """Probability that the crossing happened within the gate and is counted once."""
     uncertainty_flags: str
-    """Flags, separated by spaces. "begins" or "ends": the track begins or ends on the gate. "beside": it is uncertain
-    whether the road user passes the gate's end inside or outside. Empty: no doubt."""
+    """Flags, separated by spaces. "begins" or "ends": the track begins or ends on the gate. "beside": the road user
+    may have passed outside the gate's end. Empty: the crossing is certain."""
     is_counted: bool
-    """Whether the crossing is counted. It must lie between the gate's ends and be real with a probability of at least
-    0.5. A track that ends on the gate can be counted, with a flag in `uncertainty_flags`."""
+    """Whether the crossing is counted: it lies between the gate's ends, and is real with a probability of at least 0.5.
+    A track that ends on the gate can be counted, with a flag in `uncertainty_flags`."""
 
     @cached_property
     def end_sigma_s(self) -> float:
@@ -132,7 +133,7 @@ def _line_of(gate: Gate, observation: Observation | None) -> Outline:
 
 
 def gates_of_drawn_cameras(gates: Sequence[Gate], observation: Observation) -> list[tuple[Gate, ...]]:
-    """Return the surveyed gates relative to the tracks under cameras drawn from the calibration covariance.
+    """Return the surveyed gates relative to the tracks, under camera parameters sampled from their covariance.
 
     A surveyed line is exact, but all tracks share the camera's error. The error therefore shifts the gate relative to
     the tracks, in the same way for all road users.
@@ -142,8 +143,8 @@ def gates_of_drawn_cameras(gates: Sequence[Gate], observation: Observation) -> l
         observation: The recording with its camera and the covariance of that camera.
 
     Returns:
-        One tuple per draw (`GATE_LIMITS.camera_draws`) with the gates that have no pixels. Empty if there are no such
-        gates or the camera's error is not known.
+        One tuple per sample (`GATE_LIMITS.camera_draws`) with the gates without pixels. Empty without such gates, or if
+        the camera's error is not known.
     """
     surveyed = [gate for gate in gates if gate.line and not gate.pixels]
     known = observation.uncertainty
@@ -260,9 +261,9 @@ def _crossings_of_track(
 
 
 def _rule(trajectory: Track, gate: Gate, signed: Array, settings: TrafficSettings) -> dict[str, float]:
-    """Return the hysteresis and the least travel at a gate. Both grow with the noise of the positions.
+    """Return the hysteresis and the least travel at a gate, which grow with the noise of the positions.
 
-    Errors that shift the whole track are not included: they do not make a stopped road user jitter across the line.
+    Errors that shift the whole track are excluded, because they do not make a stopped road user jitter across the line.
     """
     near = trajectory.covariance[np.abs(signed) < GATE_LIMITS.near_m]
     normal = normal_of(gate)
@@ -272,10 +273,10 @@ def _rule(trajectory: Track, gate: Gate, signed: Array, settings: TrafficSetting
 
 
 def leaving_distance(trajectory: Track, least_travel: float) -> float:
-    """Return the distance that a road user must move between a crossing and its return for both to count.
+    """Return the minimum distance between a crossing and the return of the road user for both to count.
 
-    The measured position of a road user that stops on the line drifts by less. A vehicle that turns round or reverses
-    moves farther.
+    The measured position of a road user that stops on the line drifts by less than this distance. A vehicle that turns
+    round or reverses moves farther.
 
     Args:
         trajectory: The road user.

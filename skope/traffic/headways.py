@@ -22,16 +22,16 @@ class Headway:
     leader: GateCrossing
     follower: GateCrossing
     headway_s: float
-    """Time from front to front, seconds; NaN if the crossing of a front was not seen."""
+    """Time between the fronts of both vehicles, seconds; NaN if the crossing of a front was not seen."""
     gap_s: float
-    """Time from rear to front, seconds; NaN if the crossing of the rear or the front was not seen."""
+    """Time from the rear of the first vehicle to the front of the second, seconds; NaN if either was not seen."""
     sigma_s: float
     """Standard deviation of `headway_s` and `gap_s`, seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Occupancy:
-    """Time for which the line of a gate was occupied in an interval."""
+    """Time for which the line of a gate was occupied in a counting interval."""
 
     interval: ClockInterval
     gate: str
@@ -43,7 +43,7 @@ class Occupancy:
     sigma_s: float
     """Standard deviation of `occupied_s`, seconds."""
     excluded_vehicles: int
-    """Number of excluded vehicles: the crossing of their front or rear was not seen."""
+    """Number of vehicles excluded because the crossing of their front or rear was not seen."""
 
 
 def lane_streams(crossings: Sequence[GateCrossing]) -> Iterator[list[GateCrossing]]:
@@ -80,9 +80,9 @@ def headways(crossings: Sequence[GateCrossing], observation: Observation) -> lis
 def occupancies(
     crossings: Sequence[GateCrossing], intervals: Sequence[ClockInterval], observation: Observation
 ) -> list[Occupancy]:
-    """Return the occupancy of each gate, direction and lane in each interval that was observed at least in part.
+    """Return the occupancy of each gate, direction and lane in each counting interval, if observed at least in part.
 
-    Only vehicles are included, because the length of other road users is not measured.
+    Only vehicles are included, because lengths of two-wheelers and pedestrians are not measured.
 
     Args:
         crossings: The crossings that are counted.

@@ -1,4 +1,4 @@
-"""Counts at gates in the image, for cameras without calibration: crossings and movements only."""
+"""Count crossings and movements at gates in the image, for cameras without calibration."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,5 +1,4 @@
-"""Crossings that a gate does not count, with the reason for each. They explain why tracks that pass a gate are missing
-from its count."""
+"""Crossings that a gate does not count, each with the reason."""
 
 import math
 from collections.abc import Iterator

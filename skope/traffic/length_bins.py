@@ -1,9 +1,9 @@
 """Counts of vehicles by length (short, medium, long), with the probability of each bin.
 
 The errors of lengths were measured on 13 generated clips with full ground truth: four sites by day, at night and in
-rain (`scripts/research/traffic_scores.py`, 1205 tracks of vehicles of 3.6 to 12 m). Three quarters of the cars and vans
-have a standard deviation of 2%; the others have 14% (cars) and 5.5% (vans). Half of the other vehicles have 3%, and
-nearly half 9%. For the remaining few vehicles the body type was mistaken.
+rain (`scripts/research/traffic_scores.py`, 1205 tracks of vehicles of 3.6 to 12 m). For three quarters of the cars and
+vans, the standard deviation of the length is 2%; for the rest it is 14% (cars) and 5.5% (vans). For half of the
+vehicles of other classes it is 3%, and for nearly half 9%. For the remaining few vehicles the body type was mistaken.
 """
 
 import math
@@ -48,7 +48,7 @@ class LengthModel:
     mistaken_m: tuple[float, float] = (3.0, 13.0)
     """Range of lengths of vehicles with a mistaken body type, metres."""
     possible_probability: float = 0.02
-    """A lost vehicle may be in a bin if its track is in it with this probability."""
+    """Minimum probability of a bin for a lost vehicle to be counted as possible there."""
 
 
 LENGTH_MODEL: Final = LengthModel()
@@ -61,11 +61,11 @@ CLASS_ERRORS: Final = {"car": ((0.75, 0.02), (0.245, 0.14)), "van": ((0.75, 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class LengthCount:
-    """Number of vehicles in a length bin that crossed a gate in an interval."""
+    """Number of vehicles in a length bin that crossed a gate in a counting interval."""
 
     interval: ClockInterval
     observed: str
-    """Observed part of the interval: "full", "partial" or "none"."""
+    """Observed part of the counting interval: "full", "partial" or "none"."""
     gate: str
     direction: str
     bin_name: str
@@ -75,7 +75,7 @@ class LengthCount:
     count: int | None
     """Number of counted vehicles; None if nothing was observed."""
     confidence_interval: CountInterval | None
-    """90% interval of the true number. None if counts of vehicles have no interval there, for `NO_BIN`, and for bins
+    """90% confidence interval of the true number. None if counts of vehicles lack one there, for `NO_BIN`, and for bins
     that begin at or above `LENGTH_MODEL.longest_measured_m`."""
 
 
@@ -148,7 +148,7 @@ def length_counts(
     settings: TrafficSettings,
     unseen: MissedCrossings,
 ) -> list[LengthCount]:
-    """Count vehicles for each interval, gate, direction and bin, including `NO_BIN`.
+    """Count vehicles for each counting interval, gate, direction and bin, including `NO_BIN`.
 
     Args:
         crossings: The crossings that are counted.
@@ -217,7 +217,7 @@ def _between(
     limits_m: Sequence[float],
     unseen: MissedCrossings,
 ) -> tuple[CountInterval | None, ...]:
-    """Return the intervals of the bins at a gate, from its crossings and lost tracks. `NO_BIN` has None."""
+    """Return the confidence intervals of the bins at a gate, from its crossings and lost tracks; None for `NO_BIN`."""
     (kind,) = (group for group in unseen.kinds_at(*side) if group.classes == OF_VEHICLES)
     most = partial(unseen.most, *side, interval, kind.classes)
     if kind.loses(sum(crossing.is_counted for crossing in at_gate), most()):

@@ -1,4 +1,4 @@
-"""Line crossings from a signed distance over time: one per change of side, without jitter.
+"""Find line crossings from a signed distance over time: one per change of side, without jitter.
 
 The distance is that from a gate's line or from a zone's border. A point exactly on the line belongs to the side that
 the track reaches next (a half-open rule in time). A track that arrives at the line has crossed it, and a track that
@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from skope.types import Array
 
 _SHORTEST_STAY_S: Final = 0.5
-"""Shortest stay on one side of a line, seconds. A quicker return would need a harder braking and reversal than tyres
-allow."""
+"""Shortest stay on one side of a line, seconds. A quicker return would need more deceleration than tyres allow."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,13 +36,13 @@ class LineCrossing:
     """Time of the crossing, seconds, interpolated between positions. If the track jitters across the line: the middle
     one of the times of change."""
     spread_s: float
-    """Half the time between the first and the last of these changes, seconds."""
+    """Half the time between the first and the last change of side, seconds."""
     begins: bool
     """Whether the side before is in doubt: the track begins too close to the line."""
     ends: bool
     """Whether the side after is in doubt: the track ends too close to the line, or at its first position beyond it."""
     depth: float
-    """Distance from the line on the side that is in doubt, in the distance's unit; infinite without doubt."""
+    """Distance from the line on the side that is in doubt, in the unit of the distance; infinite if no side is."""
 
 
 def line_crossings(

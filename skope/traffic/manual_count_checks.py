@@ -38,9 +38,9 @@ class ManualCountModel:
     same_gate: float = 0.4
     """Weight of a manual count at the same gate in the other direction."""
     same_site: float = 0.05
-    """Weight of a manual count at another gate."""
+    """Weight of a manual count at a different gate of the site."""
     most_trials: float = 150.0
-    """Maximum number of trials from manual counts. The limit exists because rates change with light and weather."""
+    """Maximum number of trials from manual counts; limited because rates change with light and weather."""
     real_trials: float = 8.0
     """Number of trials that the usual share of real crossings counts as."""
     hour_s: float = 3600.0
@@ -92,7 +92,7 @@ def learnt_miss_rates(
         kinds: The groups at each gate and direction to update. Each gate must have the same number of groups.
 
     Returns:
-        The groups by gate and direction. A gate and direction with a manual count always has an interval.
+        The groups by gate and direction. A gate and direction with a manual count always has a confidence interval.
     """
     trials = [(count.side, _trials(count)) for count in evidence]
     out = {}
@@ -174,9 +174,9 @@ class ManualCountComparison:
     count: int
     """Number that skope counted."""
     near: bool
-    """Whether a road user was ever detected near the gate. If not, the manual count is not used."""
+    """Whether a road user was ever detected near the gate; otherwise the manual count is not used."""
     confidence_interval: CountInterval | None
-    """90% interval of the true number without the manual count; None if counts have no interval there."""
+    """90% confidence interval of the true number without the manual count; None if counts have none there."""
     contradicts: bool
     """Whether the manual count is too far from the automatic count for both to be right."""
 
@@ -315,7 +315,7 @@ def _errors(
 def _distribution(
     hand: ManualCount, crossings: Sequence[GateCrossing], unseen: MissedCrossings, settings: TrafficSettings
 ) -> CountDistribution | None:
-    """Return the automatic count with its errors; None if counts have no interval there."""
+    """Return the automatic count with its errors; None if counts have no confidence interval there."""
     kinds = unseen.kinds_at(hand.gate, hand.direction)
     return distribution_of(crossings, kinds, _most(hand, unseen), ALL_CLASSES, hand.classes & set(settings.classes))
 

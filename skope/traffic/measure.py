@@ -1,4 +1,4 @@
-"""Measurement of the traffic in a footage: all stages from tracks to the report, in order."""
+"""Measure the traffic in a footage: all stages from tracks to the report, in order."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
 
 DRAW_SEED: Final = 0
-"""Seed of the draws for the uncertainty of conflicts. The same tracks give the same report."""
+"""Seed of the random samples for the uncertainty of conflicts; fixed, so that a report is reproducible."""
 
 
 def measure(
@@ -117,7 +117,7 @@ def measure(
 def _crossings(
     tracks: Sequence[Track], site: "SiteParts", observation: Observation, lanes: LaneMap, step_s: float
 ) -> tuple[list[GateCrossing], dict[str, list[list[GateCrossing]]]]:
-    """Return all crossings, and by surveyed gate the crossings under each of the drawn cameras."""
+    """Return all crossings, and by surveyed gate the crossings under each sampled set of camera parameters."""
     every: list[GateCrossing] = []
     drawn_crossings: dict[str, list[list[GateCrossing]]] = {}
     for number, recording in enumerate(observation.parts or (observation,), start=1):

@@ -1,6 +1,7 @@
-"""Road users that may have crossed a gate uncounted: tracks lost before it, tracks found behind it, doubtful crossings.
+"""Find road users that may have crossed a gate uncounted: lost tracks and doubtful crossings.
 
-If the camera loses vehicles near a gate, its count is too low. Only the tracks around the gate show this.
+If the camera loses vehicles near a gate, its count is too low. Tracks that end before the gate, or begin behind it,
+show this.
 """
 
 import math
@@ -56,17 +57,17 @@ class MissedCrossings:
     vanished: tuple[LostTrack, ...] = ()
     """Tracks that were lost before a gate or found behind it, in order of time."""
     doubtful: tuple[GateCrossing, ...] = ()
-    """Crossings that are not counted: their probability is below 0.5, or they are beside the gate."""
+    """Crossings that are not counted, because their probability is below 0.5 or they are beside the gate."""
     kinds: Mapping[str, tuple[MissRateGroup, ...]] = field(default_factory=dict)
     """Miss rates by gate. A gate without an entry has those of `miss_rate_groups(None)`."""
     gates: frozenset[str] = frozenset()
-    """Names of gates near which no road user was ever detected. Whether any crossed them is not known."""
+    """Names of gates near which no road user was ever detected. The number of crossings there is not known."""
     learnt: Mapping[tuple[str, int], tuple[MissRateGroup, ...]] = field(default_factory=dict)
     """Miss rates after the manual counts, by gate and direction."""
     contradicted: frozenset[str] = frozenset()
     """Names of gates at which a manual count contradicts the automatic count."""
     other_cameras: Mapping[str, Sequence[Sequence[GateCrossing]]] = field(default_factory=dict)
-    """Crossings of each surveyed gate under each of the cameras drawn from the calibration covariance."""
+    """Crossings of each surveyed gate under each sampled set of camera parameters."""
 
     def kinds_at(self, gate: str, direction: int) -> tuple[MissRateGroup, ...]:
         """Return the miss rates at a gate in a direction."""
@@ -75,7 +76,8 @@ class MissedCrossings:
     def kind_sets(self, gate: str, direction: int) -> list[tuple[MissRateGroup, ...]]:
         """Return the possible sets of miss rates at a gate in a direction.
 
-        The first set includes the manual counts. If they contradict the automatic count, a second set excludes them.
+        The first set includes the manual counts. If the manual counts contradict the automatic count, a second set
+        excludes them.
         """
         found = [self.kinds_at(gate, direction)]
         return [*found, self._prior(gate)] if gate in self.contradicted else found

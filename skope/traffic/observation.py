@@ -1,4 +1,4 @@
-"""Times at which the camera observed the road. They tell an empty road from a road that was not observed."""
+"""Times at which the camera observed the road, which distinguish an empty road from an unobserved one."""
 
 import math
 from collections.abc import Sequence
@@ -33,9 +33,9 @@ class ObservationLimits:
     version: int = 1
     """Version of the format of `footage.json`."""
     gap_s: float = 1.0
-    """Time between two frames above which there may be a gap, seconds. It must also exceed `gap_steps`."""
+    """Minimum time between two frames at a gap, seconds; the time must also exceed `gap_steps`."""
     gap_steps: float = 3.0
-    """Time between two frames above which there may be a gap, in usual frame intervals. It must also exceed `gap_s`."""
+    """Minimum time between two frames at a gap, in usual frame intervals; the time must also exceed `gap_s`."""
     cut_s: float = 1.0
     """Time from an end of the footage, or from a gap, within which a track counts as cut off by it, seconds."""
 
@@ -153,7 +153,7 @@ class Observation:
     def with_camera_error(self, track: Track) -> Track:
         """Return the track with the camera's error in its covariance and speed errors, for showing a single track.
 
-        Do not use it to measure traffic: there all tracks share one camera error.
+        Do not use the result to measure traffic, because all tracks share one camera error.
         """
         recording = self.parts[self.recording_at(float(track.times_s[0])) - 1] if self.parts else self
         speed_sigma = np.hypot(track.speed_sigma, (self.common_scale_sigma or 0.0) * track.speed)
@@ -189,7 +189,7 @@ class Observation:
 
 
 def longest_step_s(usual_s: float) -> float:
-    """Return the time between two frames above which there is a gap, seconds, for a usual frame interval."""
+    """Return the longest time between two frames without a gap, seconds, for a usual frame interval."""
     return max(OBSERVATION_LIMITS.gap_s, OBSERVATION_LIMITS.gap_steps * usual_s)
 
 

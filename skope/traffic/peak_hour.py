@@ -40,13 +40,13 @@ class PeakHour:
     class_name: str
     """`VEHICLE_CATEGORY` (more than two wheels), or `ALL_CLASSES` if the site counts no others, or no vehicles."""
     begin_s: float
-    """Seconds of the footage."""
+    """Start of the hour, seconds of the footage."""
     end_s: float
     begin: datetime | None
-    """In the site's time zone; None if the time of the footage is not known."""
+    """Start of the hour in the site's time zone; None if the time of the footage is not known."""
     end: datetime | None
     volume: int
-    """Counted in the hour."""
+    """Number of road users counted in the hour."""
     highest_15_minutes: int | None
     """Highest volume of 15 consecutive minutes of the hour; None if no intervals make up 15 minutes."""
 
@@ -94,7 +94,7 @@ def peak_hour_class(report: TrafficReport) -> str:
 
 
 def why_no_peak_hour(report: TrafficReport) -> str:
-    """Return the reason why there is no peak hour; empty if there is one."""
+    """Return the reason why the peak hour is not available; empty if it is."""
     minutes = report.site.traffic.interval_minutes
     if PEAK_PERIODS.hour_minutes % minutes:
         return f"{minutes}-minute intervals do not divide an hour (traffic.interval_minutes)"

@@ -1,4 +1,4 @@
-"""Post-encroachment time: time between two road users that use the same place, by two different definitions.
+"""Compute post-encroachment times (time between two road users in the same place), by two definitions.
 
 SSAM (FHWA, Surrogate Safety Assessment Model): time from when the first vehicle was at a place until the second
 vehicle's box touches the first one's box at that place; the minimum over all places.
@@ -35,7 +35,7 @@ ENCROACHMENT_SEARCH: Final = EncroachmentSearch()
 
 @dataclass(frozen=True, kw_only=True)
 class Encroachment:
-    """Event in which one road user reaches a place that another road user has left."""
+    """Event in which a road user reaches a place that an earlier road user has left."""
 
     seconds: float
     """Post-encroachment time, seconds."""

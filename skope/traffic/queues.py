@@ -1,8 +1,9 @@
 """Queues in lanes, and stops and delays of road users.
 
-A vehicle is in a queue from when its speed falls below a first limit until it exceeds a second limit. A queue ends
-where the next such vehicle is too far behind. This is the definition of queue counters in traffic simulation (VISSIM).
-Delay follows the Highway Capacity Manual: travel time over a section minus the travel time at free-flow speed.
+A vehicle is in a queue from the time at which its speed falls below a first limit until the speed exceeds a second one.
+A queue ends where the next such vehicle is too far behind. This is the definition of queue counters in traffic
+simulation (VISSIM). Delay follows the Highway Capacity Manual: travel time over a section minus the travel time at
+free-flow speed.
 """
 
 import math
@@ -40,7 +41,7 @@ class QueueTimes:
 QUEUE_TIMES: Final = QueueTimes()
 
 SPEED_SHIFTS: Final = (-INTERVAL_SIGMAS, -INTERVAL_SIGMAS / 2, INTERVAL_SIGMAS / 2, INTERVAL_SIGMAS)
-"""Shifts of all speeds for the interval of stops, in standard deviations. A shift may split, add or remove a stop."""
+"""Shifts of all speeds for the bounds of the number of stops, in standard deviations."""
 Queue = tuple[float, float, tuple[float, ...]]
 """Length and its standard deviation, metres, and the probability of each vehicle to be real."""
 NO_QUEUE: Final[Queue] = (0.0, 0.0, ())
@@ -48,7 +49,7 @@ NO_QUEUE: Final[Queue] = (0.0, 0.0, ())
 
 @dataclass(frozen=True, kw_only=True)
 class QueueRecord:
-    """The longest queue of a lane in an interval."""
+    """Longest queue of a lane in a counting interval."""
 
     interval: ClockInterval
     lane: str
@@ -61,11 +62,11 @@ class QueueRecord:
     vehicles: int
     """Number of vehicles in the longest queue."""
     vehicles_expected: CountInterval
-    """90% interval of the true number of vehicles in the longest queue."""
+    """90% confidence interval of the true number of vehicles in the longest queue."""
     mean_vehicles: float
     """Number of vehicles in the lane's longest queue, averaged over the observed time."""
     mean_between: tuple[float, float]
-    """Interval of `mean_vehicles`: the means of the lower and upper bounds over time, as if all errors were common."""
+    """Bounds of `mean_vehicles`: the means over time of the lower and upper bounds, as if all errors were common."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,7 +137,7 @@ def queues(
     observation: Observation,
     settings: TrafficSettings,
 ) -> list[QueueRecord]:
-    """Return the longest queue of each lane in each interval that was observed at least in part.
+    """Return the longest queue of each lane in each counting interval that was observed at least in part.
 
     Args:
         trajectories: All tracks, in metres.
@@ -183,7 +184,7 @@ def queues(
 
 @cache
 def _between(chances: tuple[float, ...]) -> CountInterval:
-    """Return the interval of the number of vehicles in a queue, including vehicles that the queue hides."""
+    """Return the confidence interval of the number of vehicles in a queue, including hidden vehicles."""
     return count_interval(chances, queue_miss_rate())
 
 

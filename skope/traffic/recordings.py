@@ -36,7 +36,7 @@ _IN_NAME: Final = re.compile(
     r"(?![-+]\d\d:?\d\d(?!\d))"
 )
 """Date and time in a file name, as recorders write them. With a Z the time is UTC, otherwise local time at the road.
-There is no match if a possible UTC offset or further digits or letters follow."""
+A time that is followed by a possible UTC offset, digits or letters does not match."""
 
 
 def parse_start_time(given: str | datetime, site: "SiteFile", where: str) -> datetime:
@@ -51,8 +51,8 @@ def parse_start_time(given: str | datetime, site: "SiteFile", where: str) -> dat
         The time with its zone.
 
     Raises:
-        UserError: `given` is no time, neither it nor the site has a zone, or the local time is missing or ambiguous
-            because of a clock change.
+        UserError: `given` is not a time, a time zone is missing in both `given` and the site, or the local time is
+            missing or ambiguous because of a clock change.
     """
     begin = given if isinstance(given, datetime) else time_of(given, where)
     if begin.tzinfo is not None:
@@ -69,9 +69,9 @@ def parse_start_time(given: str | datetime, site: "SiteFile", where: str) -> dat
 
 
 def begin_in_name(name: str, site: "SiteFile") -> datetime | None:
-    """Return the time in a file name; None if there is none, or if it is ambiguous.
+    """Return the time in a file name; None if the name has no time, or an ambiguous one.
 
-    It is ambiguous if the name has several times, the site has no zone, or the clocks change at that time.
+    A time is ambiguous if the name has several, the site has no time zone, or the clocks change at that time.
     """
     found = {match.groups() for match in _IN_NAME.finditer(name)}
     if len(found) != 1:

@@ -1,4 +1,4 @@
-"""Remarks of a traffic report: what it lacks, which figures are doubtful, and intervals of poor visibility."""
+"""Write the remarks of a traffic report: missing or doubtful values, and times of poor visibility."""
 
 import math
 from collections.abc import Iterator
@@ -30,18 +30,18 @@ class RemarkLimits:
     """Mean brightness (0 to 1) below which an image counts as dark. In 386 generated images of all hours and weathers
     the lowest values are 0.089 (a road without lamps) and 0.097. Nights with lamps have at least 0.105."""
     flat: float = 0.015
-    """Contrast below which an image counts as without contrast. The thickest fog of these images has 0.010 and 0.012,
+    """Contrast below which an image counts as without contrast. In the generated images, thick fog has 0.010 and 0.012,
     other fog at least 0.031, and photographs of a car park from above have 0.022."""
     lost_s: float = 0.5
     """Unobserved time within the footage from which the report warns, seconds."""
     beside_m: float = 2.0
     """Distance from a gate within which the start or end of a track may hide a crossing, metres."""
     many_share: float = 0.1
-    """Number of these tracks, as a share of the gate's crossings, from which the report warns."""
+    """Minimum number of tracks that begin or end near a gate, as a share of its crossings, for a warning."""
     few_tracks: int = 3
-    """Minimum number of these tracks for a warning."""
+    """Minimum number of tracks that begin or end near a gate for a warning."""
     least_visible: float = 0.9
-    """Share of the visible part of a gate that must remain visible after the camera was turned. Below it the report
+    """Minimum share of the visible part of a gate that remains visible after a turn of the camera. Below it the report
     warns."""
     gate_points: int = 100
     """Number of points on a gate that are projected."""
@@ -52,16 +52,16 @@ REMARK_LIMITS: Final = RemarkLimits()
 
 @dataclass(frozen=True, kw_only=True)
 class IntervalVisibility:
-    """Visibility in the camera's images in an interval; None if it was not measured in it."""
+    """Visibility in the camera's images in a counting interval; None for values that were not measured."""
 
     low_brightness_s: float | None
     """Time with dark images, seconds."""
     low_contrast_s: float | None
     """Time with images of hardly any contrast (fog, a covered lens), seconds."""
     camera_moved_s: float
-    """Time for which the camera was moved away from its calibrated view, seconds. Nothing is observed then."""
+    """Time for which the camera was moved away from its calibrated view and observed nothing, seconds."""
     poor_s: float | None
-    """Time in which at least one of these conditions holds, seconds."""
+    """Time with dark images, without contrast, or with a moved camera, seconds."""
     brightness: float | None
     """Mean brightness, from 0 to 1."""
     contrast: float | None
@@ -69,7 +69,7 @@ class IntervalVisibility:
 
 
 def interval_visibility(observation: Observation, begin_s: float, end_s: float) -> IntervalVisibility:
-    """Return the visibility in an interval.
+    """Return the visibility in a counting interval.
 
     Args:
         observation: The footage with its samples of brightness and contrast.

@@ -1,6 +1,7 @@
 """Images of the empty road beside the tracks: from above, for maps, and from the camera, for its gates.
 
-The camera's image is the median of frames. It shows no moving road users, but those that are stopped most of the time.
+The camera's image is the median of frames. Moving road users disappear in the median. Road users that are stopped most
+of the time remain.
 """
 
 from collections.abc import Sequence
@@ -26,8 +27,8 @@ class RoadImage:
     fewest_frames: int = 10
     """Smallest number of frames."""
     shortest_s: float = 10.0
-    """Minimum length of the footage, seconds. In less, slow road users cover the same pixels in most frames and
-    stay visible."""
+    """Minimum length of the footage, seconds. In shorter footage, slow road users cover the same pixels in most
+    frames and stay visible."""
 
 
 ROAD_IMAGE: Final = RoadImage()

@@ -1,12 +1,12 @@
-"""Spot speeds at gates, speeds over the sections between two gates, and their percentiles (v15, v50, v85).
+"""Compute spot speeds at gates, speeds over the sections between gates, and percentiles of both (v15, v50, v85).
 
 Measurement errors spread speeds, which raises v85 and lowers v15. If measured speeds have the variance S^2 and their
 errors sigma^2, true speeds have the variance S^2 - sigma^2. Values are therefore moved towards their median by the
 square root of the ratio of the two variances.
 
-The interval is that of order statistics, which is valid for any distribution (Conover, Practical Nonparametric
-Statistics). It is widened by the uncertainty of the ratio and by the camera's error. All speeds share the camera's
-error, so more vehicles do not reduce it.
+The confidence interval of a percentile is that of order statistics, which is valid for any distribution (Conover,
+Practical Nonparametric Statistics). The interval is widened by the uncertainty of the ratio and by the camera's error.
+All speeds share the camera's error, so more vehicles do not reduce this error.
 """
 
 import math
@@ -53,7 +53,7 @@ class Percentile:
     """None if not available; `unavailable_reason` gives the reason."""
     low: float | None
     high: float | None
-    """`low` and `high` are the 90% interval of the percentile of all such traffic; None if not available."""
+    """`low` and `high` are the 90% confidence interval of the percentile of all such traffic; None if not available."""
     unavailable_reason: str = ""
     """Reason why the percentile is not available; empty if it is."""
 
@@ -67,7 +67,7 @@ def speed_percentiles(
         speeds: Measured speeds, m/s.
         sigmas: Standard deviation of each speed for an exactly known camera, m/s.
         common_scale_sigma: Relative standard deviation of the scale, which all speeds share. If None (not known), the
-            intervals exclude it.
+            confidence intervals exclude this error.
     """
     values = np.sort(np.asarray(speeds, dtype=np.float64))
     n = len(values)
@@ -165,7 +165,7 @@ class SpeedGroup:
     """Speeds of the road users that passed one gate, or one section, in one direction."""
 
     interval: ClockInterval | None
-    """The interval; None for the whole footage."""
+    """Counting interval; None for the whole footage."""
     kind: str
     """"spot" or "section"."""
     where: str
@@ -176,7 +176,7 @@ class SpeedGroup:
     """Number of speeds."""
     percentiles: dict[str, Percentile]
     common_known: bool
-    """Whether the intervals include the camera's calibration error."""
+    """Whether the confidence intervals include the camera's calibration error."""
 
 
 def section_name(movement: Movement) -> str:
@@ -233,7 +233,7 @@ def speed_groups(
     intervals: Sequence[ClockInterval],
     observation: Observation,
 ) -> list[SpeedGroup]:
-    """Return speed percentiles of the whole footage by class, and of motor vehicles by interval.
+    """Return speed percentiles of the whole footage by class, and of motor vehicles by counting interval.
 
     Tracks with the flag `implausible_speed` are excluded.
 

@@ -1,8 +1,8 @@
-"""Stitching of tracks that a mast, a bus or a key frame has broken, by position, time, speed and body.
+"""Stitch tracks that a mast, a bus or a key frame has broken, by position, time, speed and body.
 
-The probability that two tracks belong to one road user depends on how well the second track continues the first. It is
-compared with all other possible continuations, and with the rate at which unrelated tracks begin there. Only likely
-pairs are joined. Their probability enters that of each event.
+The probability that two tracks belong to one road user depends on how well the second track continues the first. This
+fit is compared with all other possible continuations, and with the rate at which unrelated tracks begin there. Only
+likely pairs are joined. The probability of a joined pair is a factor of the probability of its events.
 """
 
 import math
@@ -33,7 +33,7 @@ class JoinLimits:
     largest_sigma_m: float = 8.0
     """Largest standard deviation of the predicted position for joining, metres."""
     new_per_m2_s: float = 2e-5
-    """Rate of new road users that begin on the road for other reasons, per square metre and second."""
+    """Rate of unrelated tracks that begin on the road, per square metre and second."""
     size_sigma: float = 0.08
     """Relative standard deviation of a measured length."""
     probability: float = 0.8
@@ -147,5 +147,5 @@ def _flags(before: Track, after: Track) -> tuple[str, ...]:
 
 
 def _confidence(longer: Track, shorter: Track) -> float:
-    """Return the confidence of the longer track's class, reduced if the shorter track has another class."""
+    """Return the confidence of the longer track's class, reduced if the shorter track has a different class."""
     return longer.class_confidence * (1.0 if longer.class_name == shorter.class_name else 0.8)

@@ -143,7 +143,7 @@ def _ways(
     horizon_s: float,
     samples: SampledStates | None,
 ) -> tuple[Array, list[tuple[Array, Array]]]:
-    """Return the paths ahead of two road users as L straight segments.
+    """Return the paths ahead of both road users as L straight segments.
 
     Returns:
         (L,) start times of the segments, and for each road user corners (K, L, 4, 2) and velocities (K, L, 2).

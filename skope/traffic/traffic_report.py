@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrafficReport:
-    """All that was measured of the traffic in a footage."""
+    """All measures of the traffic in a footage."""
 
     site: "SiteParts"
     gates: tuple[Gate, ...]
@@ -72,7 +72,7 @@ class TrafficReport:
     recordings: tuple[SiteRecording, ...] = ()
     """The recordings in order of time; empty for a single recording."""
     notes: tuple[str, ...] = ()
-    """Sentences on figures that are not available or doubtful, with reasons."""
+    """Sentences on values that are not available or doubtful, with reasons."""
     metres: bool = True
     """Whether positions are in metres on the road. Otherwise they are pixels, and the report has only counts and
     movements."""

@@ -1,4 +1,4 @@
-"""Turning movements: pairs of gates and directions that a road user crosses one after the other.
+"""Find turning movements: pairs of gates and directions that a road user crosses in sequence.
 
 In the matrix of movements each crossing counts once in a row, as an origin, and once in a column, as a destination.
 Road users that were not seen before or after have a separate row or column. Rows and columns therefore add up to the
@@ -27,7 +27,7 @@ GateDirection = tuple[str, str]
 LOST_PRIOR: Final = (0.2, 0.2)
 """Beta distribution of the share of lost road users on each movement."""
 NOTHING_MISSED: Final = (0.0, 1.0)
-"""Beta distribution of the missed share if there are no road users: the share is 0."""
+"""Beta distribution of a missed share that is exactly 0, for gates without road users."""
 NO_GATE: Final[GateDirection] = ("", "")
 """Origin or destination of a road user that crossed no gate before or after."""
 
@@ -50,7 +50,7 @@ class Movement:
 
     @property
     def sides(self) -> tuple[GateDirection, GateDirection]:
-        """Origin and destination, a gate and direction each."""
+        """Gate and direction of the origin, and of the destination."""
         return _side(self.origin), _side(self.destination)
 
     @property
@@ -74,7 +74,7 @@ class Movement:
 
 @dataclass(frozen=True, kw_only=True)
 class TurningMovementCount:
-    """Number of road users that moved from one gate to another in an interval."""
+    """Number of road users that moved from one gate to a second gate in a counting interval."""
 
     interval: ClockInterval
     origin: GateDirection
@@ -84,8 +84,8 @@ class TurningMovementCount:
     count: int | None
     """Number of counted movements; None if nothing was observed."""
     confidence_interval: CountInterval | None
-    """90% interval of the true number. None if nothing was observed, if too few road users are detected at one of the
-    gates, if pedestrians use either gate, or if origin or destination is not known."""
+    """90% confidence interval of the true number. None if nothing was observed, too few road users are detected at one
+    of the gates, pedestrians use either gate, or origin or destination is not known."""
 
 
 def on_foot(movement: Movement) -> bool:
@@ -102,7 +102,7 @@ def movements(
 ) -> list[Movement]:
     """Return the movements between the gates that `settings.turning` names, or between all gates, in order of time.
 
-    If a track probably switches to another road user between two gates, it makes two movements: one without a
+    A track that probably switches to a second road user between two gates makes two movements: one without a
     destination, and one without an origin.
 
     Args:
@@ -142,10 +142,10 @@ def turning_counts(
     settings: TrafficSettings,
     missed: MissedCrossings,
 ) -> list[TurningMovementCount]:
-    """Return the matrix of each interval: a count for each pair of gates that occurs in the whole footage.
+    """Return the matrix of each counting interval: a count for each pair of gates that occurs in the whole footage.
 
-    Each pair has a count of all road users, and of vehicles if other classes are counted too. A movement belongs to the
-    interval of its first known crossing.
+    Each pair has a count of all road users, and of vehicles if further classes are counted. A movement belongs to the
+    counting interval of its first known crossing.
 
     Args:
         found: All movements.
@@ -189,7 +189,7 @@ def turning_counts(
 
 
 def _missed_more(origin: Sequence[MissRateGroup], destination: Sequence[MissRateGroup]) -> list[MissRateGroup]:
-    """Return for each group the miss rates of the gate that misses more of it."""
+    """Return for each group of classes the miss rates of the gate with the higher mean miss rate."""
     pairs = zip(origin, destination, strict=True)
     return [max(alike, key=lambda kind: (kind.too_small, kind.mean_missed)) for alike in pairs]
 
@@ -200,11 +200,11 @@ def _confidence_interval(
     kinds: Sequence[MissRateGroup],
     classes: Collection[str],
 ) -> CountInterval | None:
-    """Return the interval of a count; None if pedestrians use either gate or too few road users are detected.
+    """Return the confidence interval of a count; None with pedestrians, or if too few road users are detected.
 
-    Road users lost after the first gate may have made this movement: nearly none of them or nearly all. The share is
-    extreme because their destination has no gate, or has a gate that loses them. Movements with pedestrians have no
-    interval because more than half of the tracks of pedestrians switch to another pedestrian between gates.
+    Of the road users lost after the first gate, nearly none or nearly all may have made this movement. The share is
+    extreme because their destination has no gate, or has a gate that loses them. Movements with pedestrians get no
+    confidence interval, because more than half of the tracks of pedestrians switch to another pedestrian between gates.
     """
     if any(
         on_foot(movement) and (movement.sides[0] == pair[0] or movement.sides[1] == pair[1]) for movement in members

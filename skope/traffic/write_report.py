@@ -1,4 +1,4 @@
-"""Files of a traffic report: events, trajectories, one table per measure, and a summary.
+"""Write the files of a traffic report: events, trajectories, one table per measure, and a summary.
 
 Cells without a value are empty.
 """
@@ -20,7 +20,7 @@ from skope.version import __version__
 
 _TABLE_DIGITS: Final = 3
 SUMMARY_FILE: Final = "summary.json"
-"""The file is written last: if it exists, the report is complete."""
+"""Name of the summary, which is written last: if the file exists, the report is complete."""
 
 
 def write_traffic_report(

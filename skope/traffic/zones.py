@@ -1,4 +1,4 @@
-"""Visits of road users to zones."""
+"""Find the visits of road users to zones."""
 
 import math
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ class ZoneVisit:
 
     @property
     def dwell_s(self) -> float:
-        """Time from entry to exit, seconds; NaN if either was not seen."""
+        """Time from entry to exit, seconds; NaN if entry or exit was not seen."""
         return self.leave_s - self.enter_s
 
     @property

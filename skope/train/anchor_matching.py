@@ -1,8 +1,8 @@
-"""Assign anchors and proposals to ground truth and sample them, by torchvision's rules, for a whole batch at once.
+"""Assign anchors and proposals of a batch to ground truth, and sample them, by torchvision's rules.
 
-torchvision processes the images one by one. For each it requests numbers of boxes from the GPU many times, and waits
-each time. Here every count has a known bound, and entries beyond the count are masked. Boxes on an ignored vehicle or
-other road user count neither as a category nor as background.
+torchvision processes the images one by one. For each image it requests numbers of boxes from the GPU many times, and
+waits each time. Here every count has a known bound, and entries beyond the count are masked. Boxes on an ignored
+vehicle or other road user count neither as a category nor as background.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class MatchingLimits:
     ignored_share: float = 0.5
     """Minimum share of a box's area inside an ignored box for the box to be ignored."""
     iou: float = 0.5
-    """Minimum IoU with a ground-truth box for a box to be assigned to it even on an ignored box."""
+    """Minimum IoU with a ground-truth box at which a box is assigned to that box, even inside an ignored one."""
     pairs_at_once: int = 1 << 26
     """Number of pairs of boxes that are compared at once; several quarters of a gigabyte in float32."""
 
@@ -41,10 +41,10 @@ def assign(boxes: Tensor, batch: TargetBatch, *, low: float, high: float, low_qu
         boxes: (N, 4) xyxy of anchors, the same for all images, or (B, N, 4) of the proposals of each image.
         batch: The ground truth of the B images.
         low: IoU below which a box is background.
-        high: Minimum IoU for a box to be assigned to the road user that it overlaps most. Between `low` and `high` it
-            is neither.
-        low_quality: Also assign each ground-truth box its best-overlapping boxes, even below `high`. Useful for small
-            objects in the RPN.
+        high: Minimum IoU for a box to be assigned to the road user that it overlaps most. A box with an IoU between
+            `low` and `high` is discarded.
+        low_quality: Also assign the boxes that overlap a ground-truth box most, even if their IoU is below `high`.
+            Useful for small objects in the RPN.
 
     Returns:
         (B, N) int64 labels: that of the ground truth, 0 for background, or `MATCHING_LIMITS.discarded`; and (B, N)
@@ -107,7 +107,7 @@ def _inside(boxes: Tensor, ignored: Tensor) -> Tensor:
 
 
 def sample_anchors(labels: Tensor, count: int, share: float) -> tuple[Tensor, Tensor]:
-    """Draw a random sample for training.
+    """Sample anchors or proposals at random for training.
 
     Args:
         labels: (B, N) labels from `assign`.

@@ -22,7 +22,7 @@ from skope.train.targets import Vehicles
 from skope.types import Array, Pixels
 
 _PIXEL_LEVELS: Final = np.arange(256, dtype=np.uint8)
-"""All values of a pixel; changes of values alone are applied by a lookup table."""
+"""All 256 values of a pixel, the input of lookup tables."""
 
 _NORMAL_LEVELS: Final = np.array([NormalDist().inv_cdf((k + 0.5) / 256) for k in range(256)])
 """Quantiles of the standard normal distribution for the 256 values of a random byte."""
@@ -61,7 +61,7 @@ class Augment:
     brightness: float = 0.0
     """Exposure from -2.5 to 1.5 stops, and gamma: from glare to night."""
     spectrum: float = 0.0
-    """Change the strength of each spatial frequency, most for fine ones, in which drawn and real surfaces differ."""
+    """Change the strength of each spatial frequency, most for fine ones, where rendered and real surfaces differ."""
     filters: float = 0.0
     """Blend with the image filtered by a random 3x3 kernel."""
     infrared: float = 0.0
@@ -79,7 +79,7 @@ class Augment:
     video: float = 0.0
     """Blocks of a video encoder at a low bit rate: some macroblocks are much coarser than others."""
     clean: float = 0.0
-    """Leave light, optics and compression unchanged, whatever the other values are."""
+    """Leave light, optics and compression unchanged, regardless of the other probabilities."""
     reduce: float = 0.0
     """Reduce images larger than the network's input to that size first, so that all further steps take less time."""
 

@@ -70,7 +70,7 @@ def new(data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: 
 def new_or_same(
     out: Path, data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: bool
 ) -> tuple[RunConfig, bool]:
-    """Return the configuration of a new run, or of the run in `out` if it has the same flags, and whether it resumes.
+    """Return the configuration of a run and whether it resumes: the run in `out` if its flags are the same.
 
     Args:
         out: The run folder.
@@ -80,7 +80,7 @@ def new_or_same(
         bfloat16: Whether the processor supports bfloat16.
 
     Raises:
-        UserError: A flag is wrong, or `out` contains a run with other flags.
+        UserError: A flag is wrong, or `out` contains a run with different flags.
     """
     wanted = new(data, flags, gpu=gpu, bfloat16=bfloat16)
     if not resumable(out):
@@ -115,7 +115,7 @@ def _flat(config: RunConfig) -> dict[str, Any]:
 
 
 def again(out: Path, data: Sequence[Path], flags: Mapping[str, Any]) -> RunConfig:
-    """Return the configuration of a run to resume. Only its length and the paths of the datasets can change.
+    """Return the configuration of a run to resume. Only the number of epochs and the paths of datasets can change.
 
     Args:
         out: The run folder.
@@ -161,7 +161,7 @@ def how_to_go_on(out: Path) -> str:
 
 
 def next_command(out: Path, data: Path, splits: Sequence[str], default_out: Path, default_data: Path) -> str:
-    """Return the command that evaluates a run on a split of its dataset, with flags other than the defaults."""
+    """Return the command that evaluates a run on a split of its dataset; flags with default values are left out."""
     parts = ["skope eval"]
     tests = [split for split in splits if split not in ("train", "val")]
     if tests:

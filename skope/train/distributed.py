@@ -14,12 +14,12 @@ from torch import Tensor
 T = TypeVar("T")
 
 WAITING_LIMIT = timedelta(hours=2)
-"""Maximum time that processes wait for each other. The first one validates and writes while the others wait."""
+"""Maximum time that processes wait for each other. All wait while the process of rank 0 validates and writes."""
 
 
 @dataclass(frozen=True)
 class ProcessGroup:
-    """Processes that train one model together: one, unless torchrun has started several."""
+    """Processes that train one model together; a single process, unless torchrun has started several."""
 
     rank: int = 0
     """Number of this process, from 0."""
@@ -45,7 +45,7 @@ class ProcessGroup:
             tensor.copy_(total.view_as(tensor))
 
     def average_statistics(self, model: torch.nn.Module) -> None:
-        """Replace the running statistics by their means over all processes, because each process sees other images."""
+        """Replace the running statistics by their means over all processes, which have seen different images."""
         statistics = [buffer for buffer in model.buffers() if buffer.dtype == torch.float32]
         self.sum_over_all(statistics)
         for buffer in statistics if self.size > 1 else ():

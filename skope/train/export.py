@@ -1,4 +1,4 @@
-"""Export checkpoints to other formats: compact, for all commands of skope, and three for programs without skope.
+"""Export checkpoints to a compact format for skope, and to three formats for programs without skope.
 
 `state_dict` is a file of tensors for torchvision's own Keypoint R-CNN, which `torchvision_code` builds. TorchScript and
 ONNX take an `image` (3, H, W), float32 sRGB from 0 to 1, of any size. They return, best first and in pixels of that
@@ -45,7 +45,8 @@ from skope.train.splits import TRAINING_SPLIT
 def torchvision_code(path: Path, config: DetectorConfig) -> str:
     """Return Python code that builds torchvision's own model as `model` and loads an exported state dict into it.
 
-    The anchors are not weights: with other anchors a strict load succeeds too, but the detections are wrong.
+    The anchors are not part of the state dict: a strict load also succeeds with different anchors, but the detections
+    are then wrong.
     """
     labels = "" if len(config.categories) == 1 else f"  # labels 1 to {len(config.categories)}: "
     labels += ", ".join(config.categories) if labels else ""

@@ -1,6 +1,6 @@
-"""Fold frozen normalisation into the preceding convolution: the same function without extra passes over memory.
+"""Fold frozen normalisation into the preceding convolution, which saves passes over memory.
 
-Weights, buffers and their names are unchanged: only methods are replaced.
+The function that the model computes, its weights, buffers and their names are unchanged: only methods are replaced.
 """
 
 from torch import Tensor, nn

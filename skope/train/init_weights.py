@@ -40,7 +40,7 @@ def cached_weights(weights: WeightsEnum) -> Path:
 
 
 def fetch(init: str, weights: WeightsEnum) -> Path:
-    """Return the file of published weights, downloaded if missing; a UserError names `--init init` if that fails."""
+    """Return the file of published weights, downloaded if missing; raise a UserError if the download fails."""
     path = cached_weights(weights)
     if path.is_file():
         return path
@@ -124,9 +124,9 @@ def initialise(
 
     Args:
         init: `auto`: COCO weights if they are in torchvision's cache, else the shipped detector if it has the same
-            keypoints, else random weights. For another network: an ImageNet backbone if it is in that cache, else
-            random weights; `auto` never downloads. `coco` and `imagenet` download missing weights. `random`: random
-            weights. Any other value is a checkpoint of skope or torchvision, as in `find_checkpoint`.
+            keypoints, else random weights. For a different network than `road33` has: an ImageNet backbone if it is in
+            that cache, else random weights; `auto` never downloads. `coco` and `imagenet` download missing weights.
+            `random`: random weights. Any other value is a checkpoint of skope or torchvision, as in `find_checkpoint`.
         norm: Normalisation, one of `skope.train.recipe.NORM_CHOICES`. `given` is frozen for trained weights and
             trainable for random ones, as in torchvision.
         min_size: Short side of the images inside the network, pixels; None: that of the initial weights if they are a
@@ -145,7 +145,7 @@ def initialise(
         The model, its config, and a description of the chosen weights.
 
     Raises:
-        UserError: The weights do not exist, belong to another model or scheme, or cannot be downloaded.
+        UserError: The weights do not exist, belong to a different model or keypoint scheme, or cannot be downloaded.
     """
 
     def completed(given: DetectorConfig) -> DetectorConfig:

@@ -53,7 +53,7 @@ class TrainingIntervals:
     least_validated: int = 4
     """Minimum number of validated images."""
     validated_part: int = 5
-    """An epoch over few images validates one image per this number of training images."""
+    """Number of training images per validated image, for epochs over few images."""
     least_inside: float = 0.8
     """Minimum share of the labelled keypoints of the first batch that must lie inside their vehicle's box."""
 
@@ -391,7 +391,7 @@ def _explain_out_of_memory(config: RunConfig) -> Iterator[None]:
 
 
 def _check_first(batch: Sequence[TrainingSample], console: Console) -> None:
-    """Raise a UserError if keypoints do not belong to the boxes: Keypoint R-CNN only learns points inside their box."""
+    """Raise a UserError if keypoints lie outside their boxes, because Keypoint R-CNN learns only points inside."""
     share = training_samples.mean_share_inside(batch)
     if share is None or share >= TRAINING_INTERVALS.least_inside:
         return

@@ -1,9 +1,10 @@
 """The losses of torchvision's Keypoint R-CNN, computed for all images of a batch at once.
 
-They equal the losses of torchvision's model up to rounding and the random choice of boxes. Three rules differ: (1)
-boxes on ignored regions are neither positive nor background; (2) only vehicles train the keypoint head; (3) their
-number per image is limited. In a step of 16 images torchvision launches a few thousand small operations and waits
-hundreds of times for the GPU. This module takes a tenth of both, which keeps the GPU busy (scripts/bench_train.py).
+The losses equal those of torchvision's model up to rounding and the random choice of boxes. Three rules differ: (1)
+boxes on ignored regions are neither positive nor background; (2) only vehicles train the keypoint head; (3) the number
+of these vehicles per image is limited. In a step of 16 images torchvision launches a few thousand small operations and
+waits hundreds of times for the GPU. This module needs a tenth of these operations and waits, which keeps the GPU busy
+(scripts/bench_train.py).
 """
 
 import math
@@ -44,7 +45,7 @@ class LossSettings:
     keypoint_regions: int | None
     """Number of vehicles per image that enter the keypoint head; None for all."""
     ignore_below: float
-    """Length of the shorter edge inside the network below which a box is ignored, pixels."""
+    """Minimum shorter edge of a box inside the network, pixels. Smaller boxes are ignored."""
 
 
 def detection_losses(
@@ -62,7 +63,7 @@ def detection_losses(
         targets: Per image boxes (N, 4) xyxy, labels (N,), keypoints (N, K, 3) and ignored_boxes (M, 4), on the CPU, in
             pixels of the image; vehicles have label 1.
         rules: Settings of the losses.
-        teacher: Detector for distillation; None for none.
+        teacher: Detector for distillation; None: training on labels alone.
 
     Returns:
         The losses as float32 scalars by torchvision's names, and `skope.train.teacher.TEACHER_LOSSES` with a teacher.
@@ -289,9 +290,9 @@ def _keypoint_losses(
     rules: LossSettings,
     lesson: TeacherOutputs | None,
 ) -> dict[str, Tensor]:
-    """Return the loss over vehicles with a labelled point, at most `keypoint_regions` per image, drawn at random.
+    """Return the keypoint loss over at most `keypoint_regions` randomly sampled vehicles per image.
 
-    The others add nothing to the loss, which is a mean over labelled points.
+    Only vehicles with a labelled point are sampled. Others would add nothing to the loss, a mean over labelled points.
     """
     labelled = (batch.keypoints[..., 2] > 0).any(dim=2).gather(1, matched)
     keys = torch.rand(labels.shape, device=labels.device).where((labels == schema.CATEGORY_ID) & labelled, -1.0)

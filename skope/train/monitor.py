@@ -39,7 +39,7 @@ MONITOR_LIMITS: Final = MonitorLimits()
 
 
 class TrainingProgress:
-    """Progress bar over all images of the run with the mean losses of the epoch; reports the expected run time once."""
+    """Progress bar over all images of the run, with the mean losses of the epoch and the expected run time."""
 
     def __init__(self, images: int, epochs: int, console: Console) -> None:
         self._console = console
@@ -97,7 +97,7 @@ def announce(
     where: str,
     console: Console,
 ) -> None:
-    """Report how a run trains, on which data, and what is unusual about it.
+    """Print recipe, device and data of a run, and warnings about unusual ones.
 
     Args:
         config: Datasets, recipe and seed.

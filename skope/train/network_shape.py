@@ -10,7 +10,7 @@ from skope.errors import one_of
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkShape:
-    """Fields of `DetectorConfig` that a recipe may set; None: that of the initial weights, else torchvision's own."""
+    """Fields of `DetectorConfig` that a recipe may set. None: the value of the initial weights, else torchvision's."""
 
     backbone: str | None = None
     """Name in `skope.detector.backbones.BACKBONE_CHOICES`."""

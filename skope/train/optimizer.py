@@ -18,9 +18,9 @@ def placed(model: KeypointRCNN, recipe: Recipe, device: torch.device) -> Keypoin
 
 
 def make_weight_ema(model: KeypointRCNN, recipe: Recipe) -> AveragedModel | None:
-    """Exponential moving average (EMA) of the model's weights and statistics over the steps.
+    """Make the exponential moving average (EMA) of the model's weights and statistics over the steps.
 
-    In the first steps it decays faster, because the initial weights would otherwise have influence for long.
+    The average decays faster in the first steps. The initial weights would otherwise influence it for long.
     """
     decay = recipe.ema_decay
     if decay is None:

@@ -1,6 +1,6 @@
 """Training recipes: all values that influence the result, read from TOML files and `name=value` options.
 
-A recipe can name a teacher: a detector that a smaller one is distilled from.
+A recipe can name a teacher: a detector whose outputs a smaller network learns in addition to the labels.
 """
 
 import math
@@ -30,9 +30,9 @@ class TeacherRules:
     boxes: float = 1.0
     keypoints: float = 1.0
     temperature: float = 1.0
-    """Temperature that logits are divided by before they become probabilities; larger values make them softer."""
+    """Divisor of the logits before they become probabilities; larger values give softer probabilities."""
     sharpen: float = 1.0
-    """Factor on the teacher's heat maps, which restores them if calibration of its scores has flattened them."""
+    """Factor on the teacher's heat maps. Values above 1 restore heat maps that score calibration has flattened."""
 
     def __post_init__(self) -> None:
         for name in ("classes", "boxes", "keypoints"):
@@ -110,23 +110,23 @@ class Recipe:
     """Number of epochs after which the learning rate is multiplied by `gamma`; None: once, after half the epochs."""
     gamma: float
     cosine_to: float | None
-    """Share of itself to which the learning rate falls along half a cosine; None: it falls in steps."""
+    """Final fraction of the learning rate, which falls along half a cosine; None: the rate falls in steps."""
     ema_decay: float | None
     """Decay per step of a running mean of weights and statistics. The mean is validated and saved instead of the last
-    weights. None: there is no mean."""
+    weights. None: the last weights are saved."""
     epochs: int
     batch_size: int
     """Number of images per step, of all processes together."""
     images_at_once: int | None
     """Number of images of a step that one process sends through the network at once; None: all of its share. Smaller
-    values save memory; the losses of the parts are weighted by their images."""
+    values save memory. The loss of each part is weighted by its number of images."""
     warmup_steps: int
     """Number of steps over which the learning rate rises linearly from 0."""
     gradient_clip: float | None
     """Maximum 2-norm of all gradients together; None: no limit."""
     min_size: int | None
-    """Short side of the image inside the network; None: that of the initial weights, or 360 if they do not contain
-    it."""
+    """Short side of the image inside the network; None: the value in the initial weights, or 360 if they contain
+    none."""
     max_size: int | None
     """Maximum long side of the image inside the network; None: that of the initial weights, or 640."""
     anchors: tuple[int, ...] | None
@@ -136,31 +136,32 @@ class Recipe:
     ignore_below: float
     """Minimum shorter edge of a vehicle's box inside the network, pixels. Smaller vehicles are ignored in training."""
     trainable_layers: int
-    """Number of trainable stages of a trained backbone, 0 to 5 from the last (random weights are trainable in all)."""
+    """Number of trainable stages of a trained backbone, 0 to 5, from the last. Random weights: all are trainable."""
     regions: int
     """Number of regions per image that the second stage is trained on; at most a quarter are vehicles."""
     keypoint_regions: int | None
-    """Number of these vehicles that enter the keypoint head; None for all."""
+    """Maximum number of these vehicles per image that enter the keypoint head; None: all."""
     supervise: str
     """Trained keypoints: `visible` (v = 2), or `all` inside the image, including hidden ones (v = 1)."""
     exclude_types: tuple[str, ...]
     """Vehicle types that are excluded from training and do not count as background."""
     val_fraction: float
-    """Share of each training recording, at its end, that is used for validation instead of training."""
+    """Fraction of the training frames held out for validation (`skope.dataset.image_selection.held_back`)."""
     val_images: int
-    """Maximum number of validated images per epoch, evenly spread over that share; a fifth of the training images if
-    that is less."""
+    """Maximum number of images to validate per epoch, evenly spread over the held-out frames; at most a fifth of the
+    number of training images."""
     bfloat16: bool
     """Whether to multiply in bfloat16 where autocast considers it safe."""
     fold_norms: bool
-    """Whether to fold frozen normalisation into the preceding convolutions: the same up to rounding, in less time."""
+    """Whether to fold frozen normalisation into the preceding convolutions, which saves time. Results are equal up to
+    rounding."""
     channels_last: bool
-    """Whether to store channels last in memory: the same up to rounding, in less time."""
+    """Whether to store channels last in memory, which saves time. Results are equal up to rounding."""
     augment: Augment = field(default_factory=Augment)
     network: NetworkShape = field(default_factory=NetworkShape)
     """Backbone and widths."""
     teacher: TeacherRules = field(default_factory=TeacherRules)
-    """Detector that is learnt from in addition to the labels."""
+    """Detector whose outputs are learnt in addition to the labels."""
 
     def __post_init__(self) -> None:
         one_of("supervise", self.supervise, SUPERVISE_CHOICES)
@@ -200,7 +201,7 @@ class Recipe:
         return dataclass_of(cls, values, "recipe")
 
     def with_min_size(self, min_size: int) -> Self:
-        """Return the recipe with another short side, pixels; the limit of the long side changes in proportion."""
+        """Return the recipe with short side `min_size`, pixels; the limit of the long side changes in proportion."""
         short, long = self.inside or SMALL_SIZE
         return replace(self, min_size=min_size, max_size=round(min_size * long / short))
 
@@ -211,7 +212,7 @@ class Recipe:
 
     @property
     def decay_epochs(self) -> int:
-        """Number of epochs after which the learning rate falls by `gamma`, repeatedly."""
+        """Number of epochs between two decays of the learning rate by `gamma`."""
         return self.step_size or (self.epochs + 1) // 2
 
     def describe(self, min_size: int) -> str:
@@ -303,8 +304,8 @@ def choose_recipe(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
         name: One of `RECIPE_CHOICES`, or a TOML file that changes one of them. `auto` is `paper` on a GPU and `laptop`
             on a CPU.
         gpu: Whether the run is on a GPU.
-        bfloat16: Whether this processor has instructions for bfloat16, which all recipes except `paper` use: on two
-            cores a step takes half the time. It is part of the recipe that the run records.
+        bfloat16: Whether this processor has instructions for bfloat16, which all recipes except `paper` use. With
+            bfloat16 a step takes half the time on two cores. The run records the value as part of its recipe.
 
     Raises:
         UserError: There is no such recipe, or the file contains unknown names or wrong values.

@@ -4,7 +4,7 @@
     epoch_NNN.safetensors     weights after NNN epochs (the newest ones)
     best.safetensors          weights of the epoch with the best validation
     metrics.jsonl             losses and validation of each epoch
-    resume.pt                 the whole state: weights, optimiser, position in the epoch, history, best figure
+    resume.pt                 the whole state: weights, optimiser, position in the epoch, history, best validation
     README.md, curves.png, progress/, tensorboard/    the model card, and what lets one see it learn
 
 `skope.train.training_state` defines what a run resumes from.
@@ -139,7 +139,7 @@ METRICS_LOG = "metrics.jsonl"
 
 @contextlib.contextmanager
 def exclusive(run: Path) -> Iterator[None]:
-    """Prevent other processes from training in the folder; remove it at the end if it was created here and is empty."""
+    """Lock the run folder against other processes; remove the folder at the end if it is new and still empty."""
     made = not run.exists()
     with contextlib.ExitStack() as held:
         try:
@@ -157,7 +157,7 @@ def exclusive(run: Path) -> Iterator[None]:
 
 
 def check_room(run: Path, training: TrainingState, *, keep: int) -> None:
-    """Raise a UserError if the disk has no room for the files of a run, before hours of training.
+    """Raise a UserError if the disk has too little space for the files of a run.
 
     At most there are `keep` checkpoints and a new one, the best one, and the state twice while it is replaced.
     """

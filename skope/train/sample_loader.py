@@ -1,4 +1,4 @@
-"""Load training samples in this process or in worker processes. No sample is lost if a worker ends.
+"""Load training samples in this process or in worker processes, without losing samples if a worker ends.
 
 Workers pass images in shared memory, which is small in containers (64 MB): their number is limited accordingly. If a
 worker ends or stops responding, fewer workers continue with the remaining samples.
@@ -34,7 +34,7 @@ class LoaderLimits:
     """Memory and waiting times of the loading processes."""
 
     prefetch: tuple[int, int] = (4, 2)
-    """Number of batches that each process prepares: usually, and with little memory."""
+    """Number of batches that each process prepares: the usual value, and the value if memory is scarce."""
     memory_share: float = 0.8
     """Share of the free shared memory that is used."""
     poll_s: float = 5.0

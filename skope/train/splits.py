@@ -68,7 +68,7 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
         max_images: Maximum number of images with vehicles, evenly spaced; None: all.
 
     Raises:
-        UserError: It has no training image.
+        UserError: The folder contains no training image.
     """
     opened = open_dataset(root)
     file = opened.read(TRAINING_SPLIT)

@@ -1,4 +1,4 @@
-"""Targets of a batch as tensors of one shape each, so that a GPU processes all images at once."""
+"""Pad the targets of a batch to tensors of one shape, so that a GPU processes all images at once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -12,7 +12,7 @@ from skope.schema import VEHICLE_ALONE, Annotation, Image, Labelled, RoadUser
 from skope.types import Array
 
 LEAST_INSIDE = 0.15
-"""Share of a vehicle's box inside the image below which it is ignored, as in the dataset."""
+"""Minimum fraction of a vehicle's box inside the image, as in the dataset. Below it the vehicle is ignored."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Vehicles:
     def covered(self, box_xyxy: Array) -> "Vehicles":
         """Return the vehicles after an object has covered `box_xyxy` (4,): visible points under it are hidden (v = 1).
 
-        Another road user that is mostly covered is ignored.
+        Road users that are mostly covered are ignored.
         """
         under = ((self.keypoints[..., :2] >= box_xyxy[:2]) & (self.keypoints[..., :2] < box_xyxy[2:])).all(axis=-1)
         points = self.keypoints.copy()

@@ -1,7 +1,8 @@
 """Distillation: training on the outputs of another detector in addition to the labels (Hinton et al., 2015).
 
-The teacher processes the same images and the regions of the student's second stage. Its class probabilities, boxes and
-keypoint heat maps are softer than labels, and contain similarities between classes and positions.
+The teacher is the trained detector, the student the network in training. The teacher processes the same images, and the
+regions of the student's second stage. Class probabilities, boxes and keypoint heat maps of the teacher are softer than
+labels, and show which classes and positions are similar.
 """
 
 from collections.abc import Sequence
@@ -24,9 +25,9 @@ from skope.train.recipe import TeacherRules
 from skope.train.target_batch import HeightWidth
 
 TEACHER_LOSSES: Final = ("loss_teacher_classes", "loss_teacher_boxes", "loss_teacher_keypoints")
-"""Names of the losses of a teacher."""
+"""Names of the losses that a teacher adds."""
 BOX_LOSS_BETA: Final = 1 / 9
-"""Error of a box offset above which the loss is linear, for labels and teacher."""
+"""Error of a box offset above which the loss of labels and teacher is linear instead of quadratic."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +41,11 @@ class Teacher:
 
     @classmethod
     def load(cls, rules: TeacherRules, student: DetectorConfig, device: torch.device) -> "Teacher | None":
-        """Return the teacher of a recipe; None without a teacher, or if all of its losses have weight 0.
+        """Return the teacher of a recipe; None if the recipe names no teacher, or all of its losses have weight 0.
 
         Raises:
-            UserError: There is no such checkpoint; or it has other keypoints; or other categories, while its classes or
-                boxes have a weight.
+            UserError: The checkpoint does not exist, its keypoint scheme differs from the student's, or its categories
+                differ while the loss of classes or boxes has a weight.
         """
         if rules.checkpoint is None or not (rules.of_boxes or rules.keypoints):
             return None
@@ -52,19 +53,19 @@ class Teacher:
         model, config, _ = load_weights(path, device)
         if config.scheme != student.scheme:
             raise UserError(
-                f"teacher.checkpoint: {path} has keypoint scheme {config.scheme}, what is learnt {student.scheme}"
+                f"teacher.checkpoint: {path}: expected keypoint scheme {student.scheme}, got {config.scheme}"
             )
         if config.categories != student.categories and rules.of_boxes:
             teacher_categories, student_categories = (", ".join(detector.categories) for detector in (config, student))
             raise UserError(
-                f"teacher.checkpoint: {path} knows {teacher_categories}, what is learnt is {student_categories}; "
-                "with --set teacher.classes=0 --set teacher.boxes=0 its keypoints alone are learnt"
+                f"teacher.checkpoint: {path}: expected the categories {student_categories}; got {teacher_categories}. "
+                "For keypoints alone, add --set teacher.classes=0 --set teacher.boxes=0"
             )
         fold_norms(model.to(memory_format=torch.channels_last))
         return cls(model.requires_grad_(False), config, rules)
 
     def lesson(self, images: Tensor) -> "TeacherOutputs":
-        """Process (N, 3, H, W) images as they enter the network."""
+        """Return the teacher's outputs for (N, 3, H, W) images, as they enter the network."""
         with torch.no_grad():
             return TeacherOutputs(self.model.roi_heads, self.model.backbone(images), self.rules)
 
@@ -114,7 +115,7 @@ class TeacherOutputs:
     def of_keypoints(
         self, regions: Sequence[Tensor], sizes: list[HeightWidth], maps: Tensor, labelled: Tensor
     ) -> dict[str, Tensor]:
-        """Return the loss of heat maps.
+        """Compute the loss of the keypoint heat maps.
 
         Args:
             regions: (N, 4) vehicle regions of each image, pixels inside the network.
@@ -123,7 +124,7 @@ class TeacherOutputs:
             labelled: (N of all, K) bool, whether a point is trained.
 
         Returns:
-            Mean divergence of the positions of these points, times its weight.
+            Mean divergence of the heat maps of the trained points, times the weight of the loss.
         """
         if not self.rules.keypoints:
             return {"loss_teacher_keypoints": maps.new_zeros(())}
@@ -138,7 +139,8 @@ class TeacherOutputs:
     def _divergence(self, logits: Tensor, taught: Tensor) -> Tensor:
         """Return the Kullback-Leibler divergence of the student from the teacher over the last axis.
 
-        It is multiplied by the square of the temperature, so that gradients have the same size at any temperature.
+        The divergence is multiplied by the square of the temperature. Gradients then have the same size at any
+        temperature.
         """
         heat = self.rules.temperature
         student_log_p, teacher_log_p = (functional.log_softmax(each / heat, dim=-1) for each in (logits, taught))

@@ -1,4 +1,4 @@
-"""State of a training run and resuming from it: weights, optimiser, position in the epoch, history, best figure.
+"""State of a training run and resuming from it: weights, optimiser, position in the epoch, history, best validation.
 
 A run resumes from `resume.pt` alone, which is replaced atomically. A run that is killed at any moment resumes from it
 and rewrites later files. The state of each random generator follows from seed, epoch and step.
@@ -46,7 +46,7 @@ class TrainingState:
     history: list[dict[str, Any]]
     """Mean losses and validation of the completed epochs."""
     best: list[float] | None
-    """Figures that determine the best epoch."""
+    """Validation metrics of the best epoch, as returned by `skope.train.validate.rank`."""
     mean: AveragedModel | None = None
     """Running mean of the model over the steps, if the recipe requests it."""
     teacher: Teacher | None = None

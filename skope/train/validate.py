@@ -19,7 +19,7 @@ from skope.schema import VEHICLE_ALONE, AnnotationFile, Result, RoadUserResult
 Figures = dict[str, Any]
 
 VALIDATION_IOU = "0.6"
-"""Lowest threshold of the paper. Early epochs detect boxes roughly."""
+"""IoU threshold of the validation: the lowest of the paper, because early epochs detect boxes roughly."""
 
 
 def detect_in_image(
@@ -97,10 +97,10 @@ def run_model(
 
 
 def figures(file: AnnotationFile, found: ValidationResults) -> Figures:
-    """Return figures of a split, pooled, at a score above 0.9 and an IoU of 0.6.
+    """Return pooled metrics of a split, at a score above 0.9 and an IoU of 0.6.
 
-    `pck` is that of the matched vehicles; `pck_given` is that inside the ground-truth boxes, which separates
-    localisation from detection. Both are None if the denominator is 0. Each other category that `file` labels has
+    `pck` is the PCK of matched vehicles. `pck_given` is the PCK inside the ground-truth boxes, which separates
+    localisation from detection. Both are None if the denominator is 0. Each further category that `file` labels has
     precision and recall of boxes, at the same score and an IoU of 0.5.
     """
     options = MetricOptions()
@@ -124,6 +124,6 @@ def figures(file: AnnotationFile, found: ValidationResults) -> Figures:
 def rank(figures: Figures) -> list[float]:
     """Return the sort key of the best epoch: keypoint recall, then PCK inside the ground-truth boxes.
 
-    Other road users than vehicles do not count.
+    Only vehicles count.
     """
     return [figures["keypoint_recall"] or 0.0, figures["pck_given"] or 0.0]

@@ -42,7 +42,8 @@ class AdjustmentLimits:
     offset_m: float = 0.04
     """Standard deviation of a keypoint's offset from its body type, metres per axis."""
     hidden_cost: float = 6.0
-    """Cost of a keypoint that the body hides. Without it, cameras that show few keypoints would win."""
+    """Cost of a keypoint that the body hides. Without this cost, candidate cameras that show few keypoints would
+    win."""
     middle_offset_m: float = 0.001
     """Standard deviation of the lateral offset of a keypoint in the vehicle's plane of symmetry, metres."""
     behind_cost: float = 1e6
@@ -192,8 +193,9 @@ class Solved:
     def covariance(self) -> Array:
         """Return the covariance (5, 5) of the camera's unknowns.
 
-        It follows from how much single vehicles disagree, with the prior as one more vehicle (the sandwich estimator of
-        Huber and White). The keypoints of a vehicle have common errors in all its views.
+        The covariance follows from the disagreement of single vehicles, with the prior as one more vehicle (the
+        sandwich estimator of Huber and White). This accounts for errors that the keypoints of a vehicle share in all of
+        its views.
         """
         prior = np.diag(self.precision)
         inverse = np.linalg.inv(self.information.sum(axis=0) + prior)

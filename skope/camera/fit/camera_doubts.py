@@ -28,16 +28,16 @@ class RejectionLimits:
     focal_sigma: float = 0.3
     """Maximum relative standard deviation of the focal length."""
     likelihood_gap: float = 6.0
-    """Difference of twice the log likelihood below which a second camera may be the correct one."""
+    """Difference of twice the log likelihood below which a second candidate camera may be the correct one."""
     different_distance: float = 0.1
-    """Relative difference of distances on the road above which two cameras are different."""
+    """Relative difference of distances on the road above which two candidate cameras count as different."""
     squeezed_aspect: float = 4 / 3
     """Ratio of width to height of a pixel if a recorder has squeezed a wide image to 4:3."""
     squeezed_gap: float = 30.0
     """Minimum gain in twice the log likelihood at which pixels are taken as squeezed."""
     heading_gap_rad: float = math.radians(6.0)
-    """Maximum median angle between direction of travel and heading. A larger one shows that the road is not a plane or
-    the camera is wrong."""
+    """Maximum median angle between direction of travel and heading. A larger angle shows that the road is not a plane
+    or the estimated camera is wrong."""
     least_travel_m: float = 3.0
     """Minimum distance between two views that gives a direction of travel, metres."""
     fewest_directions: int = 5
@@ -52,7 +52,7 @@ REJECTION_LIMITS: Final = RejectionLimits()
 
 
 def rejection_reason(estimate: CameraEstimate, lower_edges: Array) -> str | None:
-    """Return the first reason to reject an estimated camera, as part of a sentence; None: it is plausible.
+    """Return the first reason to reject an estimated camera, as part of a sentence; None for a plausible one.
 
     Args:
         estimate: The camera, with the vehicles that were used.

@@ -47,7 +47,7 @@ class _Marked:
 
 
 def camera_from_marks(path: Path, size: str | None, out: Path) -> Iterator[str]:
-    """Calibrate with the marks of a file, write `out`, and yield lines on the result, with heights over z = 0.
+    """Calibrate with the marks of a file, write `out`, and yield lines that report the result. Heights are over z = 0.
 
     Args:
         path: A site file (`.toml`) with [calibration], or a file of points (`skope.camera.point_files`).

@@ -1,10 +1,10 @@
 """Estimate focal length, height and tilt of a camera from vehicles of roughly known size on the road.
 
 The correct camera makes all vehicles likely: plausible shapes, constant over all views of a vehicle, and wheels on one
-plane. `skope.pose.closed_form_starts` ranks a grid of cameras, and the best few are adjusted together with their
-vehicles (`skope.camera.fit.bundle_adjustment`). The disagreement of single vehicles gives the uncertainty. Implausible
-results are rejected. Vehicles do not show position and direction on the map: the camera is put over (0, 0) and faces
-along x.
+plane. `skope.pose.closed_form_starts` ranks a grid of candidate cameras, and the best few are adjusted together with
+their vehicles (`skope.camera.fit.bundle_adjustment`). The disagreement of single vehicles gives the uncertainty.
+Implausible results are rejected. Vehicles do not show where the camera is on the map: by definition it is above (0, 0)
+and faces along x.
 """
 
 import itertools
@@ -34,45 +34,44 @@ class CameraSearch:
     heights_m: tuple[float, ...] = (2.6, 3.7, 5.2, 7.4, 10.5, 15.0, 22.0)
     """Heights of the grid over the road, metres."""
     judged_views: tuple[int, int] = (20, 60)
-    """Maximum number of views for ranking the grid, and then its best cameras."""
+    """Maximum number of views for ranking all candidate cameras of the grid, and for ranking the best again."""
     judged_again: int = 100
-    """Number of cameras of the grid that are ranked again with more views."""
+    """Number of candidate cameras that are ranked again with more views."""
     view_cost_cap: float = 150.0
     """Maximum cost of a view, so that a false detection does not decide."""
     start_distance: float = 0.45
-    """Cameras of the grid closer than this are one start. Distances are in logarithms and in twice the angle in
-    radians."""
+    """Distance below which two candidate cameras of the grid count as one, in logarithms of focal length and height,
+    and twice the pitch in radians."""
     starts: int = 10
-    """Number of cameras of the grid that are adjusted."""
+    """Number of candidate cameras that are adjusted."""
     refined: int = 4
-    """Number of these for which full fits determine the body types."""
+    """Number of adjusted candidate cameras for which full fits determine the body types."""
     same_unknowns: float = 0.02
-    """Difference of the unknowns below which two cameras are one."""
+    """Difference of the unknowns below which two candidate cameras count as one."""
     sigma_factor: float = 1.5
-    """Factor of standard deviations over those that differences between vehicles give. With it and the two floors
-    below, 95% intervals cover 95% of generated cameras (docs/evidence/how-a-camera-is-calibrated.md)."""
+    """Factor on the standard deviations that the differences between vehicles give. With this factor and the two floors
+    below, 95% confidence intervals cover 95% of generated cameras (docs/evidence/how-a-camera-is-calibrated.md)."""
     focal_floor: float = 0.03
     """Minimum relative standard deviation of the focal length, for any number of vehicles."""
     first_steps: int = 10
-    """Number of adjustment steps of each start before the best are selected."""
+    """Number of adjustment steps of each candidate camera before the best are selected."""
 
 
 CAMERA_SEARCH: Final = CameraSearch()
 
 SIGMA_FLOORS: Final = np.array([0.0, 0.0, math.radians(0.5), 0.04, 0.01])
-"""Minimum standard deviations of the other unknowns. All vehicles of a country may be larger or smaller than the
-shape space, and lenses bend in more than one coefficient.
-"""
+"""Minimum standard deviations of the unknowns, except the focal length. All vehicles of a country may be larger or
+smaller than the shape space, and lens distortion may need more than one coefficient."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """Second camera that the search has found."""
+    """Second candidate camera that the search has found."""
 
     unknowns: Array
     """(5,) values in the order of `skope.camera.fit.camera_unknowns.UNKNOWN_NAMES`."""
     behind: float
-    """Difference of twice the log likelihood to the best camera."""
+    """Difference of twice the log likelihood to the best candidate camera."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +86,7 @@ class CameraEstimate:
     unevenness: float
     """Distance of the views from the road, from `BundleAdjustment.unevenness`; 0.3 to 0.5 on level ones."""
     rival: Rival | None
-    """Most likely of the other cameras; None: no other was found."""
+    """Most likely of the candidate cameras that differ from this one; None: no such candidate was found."""
     known: Known
     """Prior knowledge of the camera."""
 
@@ -176,7 +175,7 @@ def _widened(covariance: Array) -> Array:
 
 
 def _starts(views: VehicleViews, known: Known) -> list[Array]:
-    """Return the best distinct cameras of the grid, as unknowns (5,)."""
+    """Return the best distinct candidate cameras of the grid, as unknowns (5,)."""
     shapes, order = views.shapes, np.random.default_rng(0).permutation(len(views.found))
 
     def best(cameras: list[Array], judged: int) -> list[Array]:

@@ -37,7 +37,7 @@ class GroundSearch:
     lowest_camera_m: float = 0.5
     """Minimum height of the camera over the road at the start of the search, metres."""
     fewest_vehicles: int = 3
-    """Minimum number of vehicles. Each contributes more for a known camera than for an unknown one."""
+    """Minimum number of vehicles; fewer than for an unknown camera, because each vehicle contributes more."""
     fewest_places: int = 3
     """Minimum number of positions for a plane."""
     tried_sigmas_m: tuple[float, ...] = (0.04, 0.08, 0.16, 0.32, 0.64)
@@ -55,7 +55,7 @@ GROUND_SEARCH: Final = GroundSearch()
 
 @dataclass(frozen=True)
 class GroundFit:
-    """Road plane fitted to vehicles; `ground.height_sigma` is the deviation of the vehicles from it."""
+    """Road plane fitted to vehicles; `ground.height_sigma` is the deviation of the vehicles from the plane."""
 
     ground: Ground
     vehicles: int
@@ -112,8 +112,7 @@ def _images_of_cameras(scene: Scene) -> list[list[Image]]:
 def _with_roads(scene: Scene, cameras: list[list[Image]], asking: dict[str, Any]) -> tuple[Scene, str | None]:
     """Return the scene with the roads of the cameras with vehicles that contradict the level plane, and a line on it.
 
-    If any do, the world of the file is not level at that height. The road of a camera with too few vehicles is then
-    unknown.
+    If the vehicles of any camera contradict the plane, the road of a camera with too few vehicles is unknown.
     """
     roads: dict[int, Ground | None] = {}
     contradicting, unclear = 0, list[Image]()
@@ -172,7 +171,7 @@ def _words(fit: GroundFit, asked: str) -> str:
 
 
 def fit_ground(views: VehicleViews, camera: Camera, begun: Ground) -> GroundFit:
-    """Fit a plane under vehicles; its `height_sigma` is their deviation from it.
+    """Fit a plane under vehicles; its `height_sigma` is the deviation of the vehicles from the plane.
 
     Args:
         views: Keypoints of the vehicles.

@@ -140,9 +140,9 @@ class Parts:
 
 
 def _inverses(matrices: Array) -> Array:
-    """Return (B, 3, 3) inverses. If one matrix is singular, the diagonals of all are slightly enlarged.
+    """Return (B, 3, 3) inverses; if one matrix is singular, the diagonals of all are slightly enlarged first.
 
-    This happens if all keypoints of a vehicle constrain a trial camera in one direction only.
+    A matrix is singular if all keypoints of a vehicle constrain its pose, under a trial camera, in one direction only.
     """
     try:
         return np.asarray(np.linalg.inv(matrices))

@@ -1,6 +1,6 @@
 """`skope eval camera --refit`: estimate the new pose of a turned camera from its previous calibration.
 
-The old image is registered to the new one. If most of its corners do not move as by a turn of the camera, the command
+The old image is registered to the new one. If the motion of most corners is not that of a turned camera, the command
 stops. The turn transforms the old marks to the new image, and the calibration is repeated. For a camera file without
 marks, the camera itself is turned, and its uncertainty does not decrease.
 """
@@ -44,9 +44,9 @@ class RefitLimits:
     least_residual_px: float = 0.3
     """Minimum assumed residual of that homography, pixels. Corners are matched with this precision."""
     near_m: float = 60.0
-    """Distance within which the road distinguishes a turn from a move, metres. Its nearer half must agree."""
+    """Distance within which road corners distinguish a turn from a move, metres. The nearer half of them must agree."""
     fewest_matches: int = 8
-    """Minimum number of matched corners there."""
+    """Minimum number of matched corners within `near_m`."""
     least_share: float = 0.5
     """Minimum share of these corners that must agree with a turn. Traffic hides some."""
     rest_s: float = 3.0
@@ -225,7 +225,7 @@ def _shifts(camera: Camera, T: Array, pixels: Array) -> Array:
 
 
 def moved_evidence(evidence: Evidence, camera: Camera, registered: Registration) -> Evidence:
-    """Transform marks to the image of the turned camera, and add the error of the registration to theirs.
+    """Transform marks to the image of the turned camera, with the registration error added to their errors.
 
     Args:
         evidence: The marks in the old image.
@@ -260,7 +260,7 @@ def moved_evidence(evidence: Evidence, camera: Camera, registered: Registration)
 
 
 def turned_known(known: UncertainCamera, registered: Registration) -> UncertainCamera:
-    """Return the turned camera with the uncertainty of the old one, of the turn, and of a move that corners miss."""
+    """Return the turned camera with the uncertainty of the old camera, the turn, and an undetected move."""
     motion = registered.motion
     sigmas = (motion.sigma_px, motion.sigma_px, motion.sigma_turn)
     # A camera moved by this much shifts nearby corners by the size of their residuals.

@@ -1,4 +1,4 @@
-"""Select vehicles of a scene to fit a camera or a road to: those with enough keypoints, in views along their paths."""
+"""Select vehicles for fitting a camera or a road: enough keypoints, and views along their paths."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -42,11 +42,11 @@ SAMPLE_LIMITS: Final = SampleLimits()
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Selected views of vehicles, and whether vehicles have numbers."""
+    """Selected views of vehicles for a calibration."""
 
     views: VehicleViews
     numbered: bool
-    """Whether vehicles are known from image to image; else each view counts as a vehicle."""
+    """Whether views in several images are known to show the same vehicle; else each view counts as a vehicle."""
     lower_edges: Array
     """(P, 2) pixels of the middles of the lower edges of boxes, of all vehicles in images spread over the scene."""
 

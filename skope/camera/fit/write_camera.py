@@ -41,8 +41,8 @@ class KnownLengthErrors:
     length_share: float = 0.01
     """Relative standard deviation of a measured length."""
     contradiction: float = 3.0
-    """Minimum difference between a length and its estimate from vehicles, in standard deviations, at which the length
-    is rejected."""
+    """Difference between a length and its estimate from vehicles, in standard deviations, at which the length is
+    rejected."""
     step_px: float = 0.1
     """Step of numerical derivatives, pixels."""
     property_share: float = 0.02
@@ -231,7 +231,7 @@ def _part_of(scene: Scene) -> dict[str, Any]:
 
 
 def camera_figures(**values: tuple[float, float]) -> Iterator[str]:
-    """Yield lines with the camera's parameters and their 90% intervals. Angles are radians with standard deviations."""
+    """Yield lines with camera parameters and 90% confidence intervals; angles (radians) have standard deviations."""
     (focal, focal_sigma), (height, height_sigma) = values["focal"], values["height"]
     yield f"focal length {focal:.0f} px (90%: {_logarithmic(focal, focal_sigma, 0)})"
     angles = {
@@ -282,7 +282,7 @@ def known_length(text: str) -> KnownLength:
 
 
 def scale_error_line(name: Path | str, distance_sigma: float) -> str:
-    """Return a sentence on the common error of all distances under a camera."""
+    """Return a sentence on the error that all distances measured with a camera share."""
     return (
         f"{name}: all distances and speeds may be off by {INTERVAL_SIGMAS * distance_sigma:.0%}, in one direction (90%)"
     )

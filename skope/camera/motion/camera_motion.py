@@ -1,8 +1,8 @@
 """Camera shake during footage: the camera's turn in each frame, and the remaining uncertainty.
 
-A vibrating mast or bracket turns its camera about a nearby point, compared with the distance to the road. The image
-therefore moves by a turn. At rest, the camera is as calibrated. The phase of the shake at which the calibration image
-was taken is unknown, so the shake itself is part of the camera's uncertainty.
+A vibrating mast or bracket turns its camera about a point that is near, compared with the distance to the road. The
+image therefore moves as by a turn of the camera. At rest, the camera is as calibrated. The phase of the shake at which
+the calibration image was taken is unknown, so the shake itself is part of the camera's uncertainty.
 """
 
 import math
@@ -56,7 +56,7 @@ class CameraMotion:
         )
 
     def camera_in(self, camera: Camera, image_id: int) -> Camera:
-        """Return the camera in a frame, given the `camera` at rest; at rest if the frame's motion is unknown."""
+        """Return the camera in a frame, from the `camera` at rest; unchanged if the motion in the frame is unknown."""
         motion = self.frames.get(image_id)
         return camera if motion is None else turned_camera(camera, motion.x, motion.y, motion.turn)
 
@@ -112,7 +112,7 @@ class CameraMotion:
 
     @classmethod
     def from_dict(cls, name: str, value: Mapping[str, Any]) -> "CameraMotion":
-        """Read what `to_dict` returns; `name` is the file's. Raises UserError."""
+        """Read the result of `to_dict`; `name` is the name of its file. Raise UserError if it is malformed."""
         try:
             rows = np.array(value["frames"], dtype=np.float64).reshape(-1, 6)
             x, y, turn = (float(v) for v in value["sway"])
@@ -129,7 +129,7 @@ class CameraMotion:
 
 
 def motion_of_info(name: str, info: Mapping[str, Any]) -> CameraMotion | None:
-    """Read the shake of the frames' camera from their `info`; None: it was still. Raises UserError."""
+    """Read the camera shake from the `info` of frames; None for a still camera. Raise UserError if it is malformed."""
     value = info.get(MOTION_KEY)
     return CameraMotion.from_dict(name, value) if isinstance(value, Mapping) else None
 

@@ -148,7 +148,7 @@ def answer_pictures(answers_fd: int) -> None:
 
 
 class CameraShakeEstimator:
-    """Measures the displacement of each frame of a video from the first one while the caller processes the frame."""
+    """Measures the displacement of each frame of a video from the first frame, while the caller processes the frame."""
 
     def __init__(self, first: Pixels | None = None, processes: int = 0) -> None:
         """Prepare to measure a video.
@@ -218,12 +218,12 @@ class CameraShakeRecord:
     def view_changes(self, looks: Sequence[tuple[float, str]]) -> list[ViewChange]:
         """Return the permanent changes of the view: jumps of the mean image position, and otherwise those of `changes`.
 
-        The small images alone, half a second apart, may repeatedly fall on one side of a shake.
+        The small images are half a second apart. Alone, they may all show the same phase of a shake.
         """
         return sorted([*self._moves(), *changes(looks, self._unmeasured)], key=lambda change: change.time_s)
 
     def motion(self, view_changes: Sequence[ViewChange]) -> CameraMotion | None:
-        """Return the camera's shake around its rest position in each of its views; None: it is still."""
+        """Return the camera's shake around its rest position in each of its views; None for a still camera."""
         part = np.searchsorted([change.time_s for change in view_changes], self.times_s, side="right")
         values = self._values
         for change in view_changes:

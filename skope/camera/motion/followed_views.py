@@ -49,7 +49,7 @@ class _Followed:
 
 
 def with_homographies(footage: Footage, changes: Sequence[ViewChange], end_s: float) -> list[ViewChange]:
-    """Return the changes of a video's view, with their homography from the first view if it is reliable.
+    """Return the changes of a video's view, with reliable homographies from the first view.
 
     Args:
         footage: The video. A live stream cannot be read again: its changes stay as they are.

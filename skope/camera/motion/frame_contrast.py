@@ -1,4 +1,4 @@
-"""Measure brightness and contrast of a video's frames, which show whether anything was visible."""
+"""Measure brightness and contrast of a video's frames, to find times without visibility."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,9 +18,10 @@ class ContrastMeasure:
     square_px: int = 9
     """Side of the squares for measuring contrast, pixels of the small image."""
     black: float = 0.02
-    """Brightness that is added to the denominator. Noise in the dark is not contrast."""
+    """Brightness that is added to the denominator, so that noise in the dark does not count as contrast."""
     percentile: int = 75
-    """Percentile of the squares' contrast that is reported. An empty road has hardly any contrast."""
+    """Percentile of the squares' contrast that is reported; above the median, because an empty road has little
+    contrast."""
 
 
 CONTRAST_MEASURE: Final = ContrastMeasure()

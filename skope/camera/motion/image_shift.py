@@ -1,9 +1,9 @@
-"""Measure the motion of a fixed camera's image relative to a reference image; this is the only module that measures it.
+"""Measure the motion of a fixed camera's image relative to a reference image.
 
-A coarse step compares whole edge images, because light changes and background edges do not (phase correlation). A
-fine step then tracks corners of the first image into the second (Lucas and Kanade's method, after contrast
-normalisation). The motion of most of them is the camera's: shift and turn in the image's middle. Further displacements
-by a turned camera and its lens grow with the square of the distance from there, and are fitted as well.
+A coarse step compares whole edge images by phase correlation, because edges change less than light. A fine step then
+tracks corners of the first image into the second (Lucas and Kanade's method, after contrast normalisation). The motion
+that most corners share is the camera's: shift and turn in the image's middle. Further displacements by a turned camera
+and its lens grow with the square of the distance from there, and are fitted as well.
 """
 
 import math
@@ -34,7 +34,7 @@ class ShiftLimits:
     same_share: float = 0.2
     """Minimum share of equal blocks of two images with one view."""
     unmoved_ratio: float = 0.9
-    """A view has not moved if its old position fits at least this share as well."""
+    """Minimum fit of the old position, as a share of the best fit, for a view to count as unmoved."""
     least_edges: float = 0.03
     """Strength of edges, as a share of white, below which an image has too little texture."""
     fine_width_px: int = 640
@@ -46,7 +46,7 @@ class ShiftLimits:
     blur_px: float = 8.0
     """Standard deviation of the neighbourhood in which contrast is normalised, pixels of these images."""
     blur_step: int = 4
-    """The neighbourhood is computed in pixels this many times as large. That takes a sixth of the time."""
+    """Factor by which pixels are enlarged to compute the neighbourhood, which takes a sixth of the time."""
     window_px: int = 15
     """Side of the window that is tracked around a corner, pixels."""
     round_trip_px: float = 0.3
@@ -58,8 +58,8 @@ class ShiftLimits:
     fit_rounds: int = 12
     """Number of rounds of the robust fit."""
     floor_px: float = 0.03
-    """Standard deviation that remains with any number of corners. Images are interpolated in steps of 1/32 pixel,
-    and all corners share that error."""
+    """Minimum standard deviation for any number of corners. All corners share the error of interpolating images in
+    steps of 1/32 pixel."""
     vague_px: float = 0.5
     """Maximum standard deviation of a known shift, pixels of these images."""
 
@@ -155,7 +155,7 @@ class ImageMotion:
     sigma_turn: float
     """Standard deviation of the turn, radians."""
     growth: float = 0.0
-    """Relative growth of everything in the image: a zoom."""
+    """Relative growth of the image (zoom)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,8 @@
-"""Detect changes of view in footage: a cut to another camera, or a camera that was turned or knocked.
+"""Detect changes of view in footage: a cut to a different camera, or a camera that was turned or knocked.
 
-Small images of the footage, half a second apart, are compared with the first one of a view by their edges, because
-light changes and background edges do not. A view that has changed and stays changed is a new view. A view that returns
-was hidden or shaken.
+Small images of the footage, half a second apart, are compared with the first image of a view by their edges, because
+edges change less than light. A view that has changed and stays changed is a new view. If the old view
+returns, it was only hidden or shaken.
 """
 
 import base64
@@ -36,11 +36,11 @@ VIEW_CHANGES: Final = ViewChangeLimits()
 
 @dataclass(frozen=True)
 class ViewChange:
-    """Time at which footage changes to another view."""
+    """Change of footage to a new view."""
 
     time_s: float
     cut: bool
-    """Whether nothing of the previous view is visible; else the camera was turned."""
+    """True if nothing of the previous view is visible (a cut); False if the camera was turned."""
     shift: float
     """Displacement of the view, as a share of the image's width; 0 for a cut."""
     settled_s: float | None = None
@@ -96,7 +96,7 @@ class ViewSamples:
 
 
 def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] = lambda _: True) -> list[ViewChange]:
-    """Return the permanent changes of view in small images with rising times in seconds.
+    """Return the permanent changes of view between small images, which are in order of time (seconds).
 
     Args:
         looks: Small images, as `ViewSamples` takes them, with their times.

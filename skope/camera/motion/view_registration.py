@@ -1,8 +1,8 @@
 """Estimate the homography between two views of a fixed camera that was shifted, turned or zoomed; read a video's views.
 
-Features that both images share give a first homography. It warps the second image back, and corners of the first image
-are tracked into the warped one. The homography of these corners is accepted only if they agree with it, cover the
-image, and give the same homography when only half of them are used.
+Features that both images share give a first homography. This homography warps the second image back, and corners of the
+first image are tracked into the warped image. The homography of these corners is accepted only if they agree with it,
+cover the image, and give the same homography when only half of them are used.
 
 `info` of a video's frames lists its views in order, with the homography from the first view to each.
 """
@@ -42,11 +42,12 @@ class RegistrationLimits:
     grid_parts: int = 4
     """Rows and columns of parts into which the overlap of both views is divided."""
     fewest_parts: int = 9
-    """Minimum number of these parts with corners: more than half, so that a lorry beside the camera is not enough."""
+    """Minimum number of parts of the grid with corners; more than half, so that a lorry near the camera is not
+    enough."""
     fewest_per_part: int = 3
     """Minimum number of corners in such a part."""
     moving_view: int = -1
-    """Number of the view of frames that were taken while the camera moved."""
+    """View number of frames that were taken while the camera moved."""
 
 
 REGISTRATION_LIMITS: Final = RegistrationLimits()

@@ -21,7 +21,7 @@ from skope.detector.backends.network_parts import HandedProposals, PyramidWithPr
 
 
 def convert(model: KeypointRCNN) -> None:
-    """Make the costly parts of `model` multiply in bfloat16; their weights are rounded permanently."""
+    """Make the costly parts of `model` multiply in bfloat16. Weights of these parts are rounded permanently."""
     multiply_in(model)
     heads = model.roi_heads
     model.backbone = _Pyramid(model)

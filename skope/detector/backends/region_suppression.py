@@ -1,8 +1,8 @@
 """Faster suppression of overlapping regions with the same result as torchvision.
 
 On a GPU, all images of a batch are processed together, whereas torchvision processes them one by one
-(skope/detector/suppression.py). On a CPU, the best regions of all levels are examined first, and the others only if
-these are too few.
+(skope/detector/suppression.py). On a CPU, the best regions of all levels are examined first, and the remaining regions
+only if too few of the best are kept.
 """
 
 import itertools

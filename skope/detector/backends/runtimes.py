@@ -1,6 +1,7 @@
 """Libraries that can compute the parts of the network instead of torch; each is an optional extra.
 
-Both read ONNX. Their results differ from torch's in the last digits of float32; bfloat16 and int8 are less accurate.
+All libraries read ONNX. Their results differ from torch's in the last digits of float32; bfloat16 and int8 are less
+accurate.
 """
 
 import contextlib
@@ -69,7 +70,7 @@ class Runtime(ABC):
     def compile(self, part: NetworkPart, number: str) -> RunNetwork:
         """Return a function that computes a part with products in a number format, one of `formats`.
 
-        Both raise UnusableError, with a one-line message, if the library fails.
+        This method and the returned function raise UnusableError, with a one-line message, if the library fails.
         """
         with self._blamed():
             run = self._compiled(part, number)
@@ -97,14 +98,14 @@ def _openvino_core(library: ModuleType) -> Any:
     """Return the core of this process, which is kept until the process exits.
 
     Each core of OpenVINO installs an alternative signal stack and puts the previous one back when it is deleted. Two
-    cores that are deleted in another order leave a stack without memory, and the next signal, Ctrl-C for example,
+    cores that are deleted in a different order leave a stack without memory, and the next signal, Ctrl-C for example,
     crashes the process (seen with 2026.4).
     """
     return library.Core()
 
 
 class OpenVino(Runtime):
-    """OpenVINO. Sums of products, and all parts that are not in int8, use bfloat16 if permitted."""
+    """OpenVINO; sums of products, and all parts that are not in int8, use bfloat16 if permitted."""
 
     backend = "openvino"
     formats = ("int8", "bfloat16", "float32")

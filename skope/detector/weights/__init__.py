@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Final
 
 DEFAULT_WEIGHTS: Final = "road33"
-"""Name of the default detector; training also starts from it if COCO's weights are not available."""
+"""Name of the default detector. Training starts from this detector if COCO's weights are not available."""
 
 LIGHT_WEIGHTS: Final = "road33-lite"
 """Name of the light detector, which processes every frame of a live camera on a CPU."""
@@ -25,5 +25,5 @@ def path(name: str) -> Path:
 
 
 def shipped(weights: Path) -> bool:
-    """Return whether a weights file is inside the package, where no user files are written."""
+    """Return whether a weights file is inside the package. User files are never written there."""
     return weights.parent == WEIGHTS_FOLDER

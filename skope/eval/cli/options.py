@@ -43,7 +43,7 @@ data_option, counts, output, machine = map(panel, ("Data", "What counts", "Outpu
 
 PAPER_PROTOCOL = "paper"
 PROTOCOL_CHOICES = ("pooled", PAPER_PROTOCOL)
-"""Protocols of a figure: from sums over the split, or the mean of per-image figures as in the paper."""
+"""Protocols of the metrics: `pooled` (ratios of sums over the split) and `paper` (means of per-image ratios)."""
 
 BackendOption = Annotated[
     str,

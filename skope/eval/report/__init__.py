@@ -1,4 +1,4 @@
-"""report.html: one file that shows what an evaluation found, without a server or the network."""
+"""Make report.html: one file that shows the results of an evaluation, without a server or the network."""
 
 from skope.eval.report.page import render_page
 

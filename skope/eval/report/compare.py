@@ -1,7 +1,7 @@
-"""Comparison of evaluations, with intervals of their differences.
+"""Compare evaluations, with confidence intervals of their differences.
 
-Two detectors on the same images face the same difficulties, so their difference varies far less than either figure. The
-jackknife therefore leaves the same block out of both.
+Two detectors on the same images face the same difficulties. Their difference therefore varies far less than the metric
+of either. The jackknife leaves the same block out of both evaluations.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -42,7 +42,7 @@ class Run:
 
 
 def read_run(folder: Path) -> Run:
-    """Read the output folder of `skope eval`; raise a UserError if a file is missing or has another version."""
+    """Read the output folder of `skope eval`; raise a UserError if a file is missing or has a different version."""
     documents = {}
     for name in (METRICS_FILE, TALLIES_FILE):
         path = folder / name

@@ -213,7 +213,7 @@ def _table(document: Mapping[str, Any], protocol: str, beside: Mapping[str, Any]
 
 
 def _cell(value: float | None, interval: Sequence[float] | None, percent: bool) -> Cell:
-    """A figure and its interval below it."""
+    """Return a metric with its confidence interval below it."""
     scale, digits = (100, 2) if percent else (1, 3)
     text = "–" if value is None else f"{scale * value:.{digits}f}"
     if interval is None:

@@ -206,7 +206,7 @@ def _intervals(splits: Mapping[str, Any], protocol: str) -> list[str]:
 
 
 def evidence(intervals: Mapping[str, Any]) -> str:
-    """Return the basis of a split's intervals and their limits, as text."""
+    """Return text on the blocks of a split's confidence intervals, and on what the intervals do not cover."""
     blocks, sites, unit = intervals["blocks"], intervals["sites"], intervals["unit"]
     words = f"blocks of {unit}" if unit.endswith(" s") else f"{unit}s"
     words = f"{blocks} {words}" if blocks > 1 else f"none, as there are fewer than two {words}"
@@ -222,7 +222,7 @@ def evidence(intervals: Mapping[str, Any]) -> str:
 
 
 def span(interval: Sequence[float] | None, *, percent: bool = False) -> str:
-    """Return an interval as low-high, or "-" if there is none."""
+    """Return a confidence interval as low-high; "-" for None."""
     if interval is None:
         return "-"
     low, high = (ratio_text(value, percent=percent) for value in interval)

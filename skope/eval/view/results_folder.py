@@ -83,7 +83,7 @@ def read_results_folder(folder: Path, console: Console) -> Collection:
     """Read an output folder of `skope eval` or `skope eval predict` for the viewer.
 
     Raises:
-        UserError: It is no such folder, or its inputs are missing or have changed.
+        UserError: The folder is not an output of these commands, or its inputs are missing or have changed.
     """
     if not folder.is_dir():
         raise UserError(f"{folder}: no such folder; `skope eval --out {folder}` makes it")

@@ -128,12 +128,14 @@ def test_a_photograph_has_one_light() -> None:
 def test_a_site_is_a_name_or_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert own_site("--site", "t01_main_west") is None
-    with pytest.raises(UserError, match=r"^--site: 'nowhere' is no site file, and none of t01_"):
+    with pytest.raises(UserError, match=r"^--site: expected a site file \(\.toml\) or one of t01_.*; got 'nowhere'"):
         own_site("--site", "nowhere")
     with pytest.raises(UserError, match=r"^nowhere\.toml: "):
         own_site("--site", "nowhere.toml")
     (tmp_path / "t01_main_west").write_text("network = 3")
-    with pytest.raises(UserError, match=r"a site of the package and a file here; write \./t01_main_west for the file"):
+    with pytest.raises(
+        UserError, match=r"both a site of the package and a file here; write \./t01_main_west for the file"
+    ):
         own_site("--site", "t01_main_west")
     with pytest.raises(UserError, match=r"^t01_main_west: .*expected"):
         own_site("--site", "./t01_main_west")
