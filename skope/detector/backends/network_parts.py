@@ -15,6 +15,7 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import torch
@@ -186,7 +187,7 @@ def parts_of(model: KeypointRCNN) -> dict[str, NetworkPart]:
     box, keypoint = heads.box_roi_pool.output_size, heads.keypoint_roi_pool.output_size
     return {
         PYRAMID_NAME: NetworkPart(_Pyramid(model), (-1, 3, -1, -1)),
-        BOX_HEAD: NetworkPart(nn.Sequential(heads.box_head, heads.box_predictor), (-1, channels, *box)),
+        BOX_HEAD: NetworkPart(nn.Sequential(heads.box_head, heads.box_predictor), (-1, channels, *box), steady=False),
         KEYPOINT_HEAD: NetworkPart(
             nn.Sequential(heads.keypoint_head, heads.keypoint_predictor.kps_score_lowres),
             (-1, channels, *keypoint),
@@ -256,14 +257,19 @@ class _HandedKeypointHead(nn.Module):
 
 
 class _Upsampled(nn.Module):
+    """Bilinear enlargement of heat maps, as torchvision's predictor does it; a product of matrices is faster."""
+
     def forward(self, maps: Tensor) -> Tensor:
-        return nn.functional.interpolate(
-            maps,
-            scale_factor=float(EXPORT_SHAPE.keypoint_factor),
-            mode="bilinear",
-            align_corners=False,
-            recompute_scale_factor=False,
-        )
+        down, across = (_enlargement(cells) for cells in maps.shape[2:])
+        return down @ maps @ across.T
+
+
+@cache
+def _enlargement(cells: int) -> Tensor:
+    """Return the (2 * cells, cells) matrix that enlarges an axis of a heat map."""
+    unit = torch.eye(cells)[None]
+    size = EXPORT_SHAPE.keypoint_factor * cells
+    return nn.functional.interpolate(unit, size=size, mode="linear", align_corners=False)[0].T.contiguous()
 
 
 def _computed(run: RunNetwork, x: Tensor) -> list[Tensor]:
