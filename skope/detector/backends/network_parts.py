@@ -62,7 +62,7 @@ class RegionPooling(nn.Module):
             image_shapes: Height and width of each image.
 
         Returns:
-            (K of all images, C, *output_size).
+            (K of all images, C, *output_size), channels last in memory.
         """
         maps = [features[name] for name in self._names]
         tallest = max(height for height, _ in image_shapes)
@@ -72,14 +72,14 @@ class RegionPooling(nn.Module):
         image_of = torch.repeat_interleave(torch.tensor([len(image_boxes) for image_boxes in boxes]))
         together = torch.cat(list(boxes))
         cells = self.output_size[0] * self.output_size[1]
-        out = torch.empty(len(together), cells, maps[0].shape[1])
+        out = torch.empty(len(together), cells, maps[0].shape[1])  # channels last
         for level, (feature_map, stride) in enumerate(zip(maps, strides, strict=True)):
             here = torch.where(level_of == level)[0]
             if len(here):
                 out[here] = self._of_level(feature_map, together[here] / stride, image_of[here]).view(
                     len(here), cells, -1
                 )
-        return out.permute(0, 2, 1).reshape(len(together), maps[0].shape[1], *self.output_size)
+        return out.view(len(together), *self.output_size, maps[0].shape[1]).permute(0, 3, 1, 2)
 
     def _of_level(self, features: Tensor, regions: Tensor, image_of: Tensor) -> Tensor:
         """Return (K * cells, C) means over the samples of each cell of (K, 4) regions, in pixels of the map."""
@@ -187,10 +187,12 @@ def parts_of(model: KeypointRCNN) -> dict[str, NetworkPart]:
     box, keypoint = heads.box_roi_pool.output_size, heads.keypoint_roi_pool.output_size
     return {
         PYRAMID_NAME: NetworkPart(_Pyramid(model), (-1, 3, -1, -1)),
-        BOX_HEAD: NetworkPart(nn.Sequential(heads.box_head, heads.box_predictor), (-1, channels, *box), steady=False),
+        BOX_HEAD: NetworkPart(
+            nn.Sequential(_ChannelsFirst(), heads.box_head, heads.box_predictor), (-1, *box, channels), steady=False
+        ),
         KEYPOINT_HEAD: NetworkPart(
-            nn.Sequential(heads.keypoint_head, heads.keypoint_predictor.kps_score_lowres),
-            (-1, channels, *keypoint),
+            nn.Sequential(_ChannelsFirst(), heads.keypoint_head, heads.keypoint_predictor.kps_score_lowres),
+            (-1, *keypoint, channels),
             steady=False,
         ),
     }
@@ -207,8 +209,15 @@ def hand_over(model: KeypointRCNN, runs: Mapping[str, RunNetwork]) -> None:
     heads.keypoint_head, heads.keypoint_predictor = _HandedKeypointHead(runs[KEYPOINT_HEAD]), _Upsampled()
 
 
+class _ChannelsFirst(nn.Module):
+    """Return regions (N, C, H, W) from (N, H, W, C), the layout of pooled regions and of runtimes' convolutions."""
+
+    def forward(self, regions: Tensor) -> Tensor:
+        return regions.permute(0, 3, 1, 2)
+
+
 class _Pyramid(nn.Module):
-    """Return an image's feature maps, then the scores and then the offsets of the anchors on each map."""
+    """Return an image's feature maps (N, H, W, C), then the scores and the offsets of the anchors on each map."""
 
     def __init__(self, model: KeypointRCNN) -> None:
         super().__init__()
@@ -217,7 +226,7 @@ class _Pyramid(nn.Module):
     def forward(self, images: Tensor) -> tuple[Tensor, ...]:
         features = list(self.backbone(images).values())
         scores, offsets = self.head(features)
-        return (*features, *scores, *offsets)
+        return (*(feature_map.permute(0, 2, 3, 1) for feature_map in features), *scores, *offsets)
 
 
 class _HandedPyramid(PyramidWithProposals):
@@ -232,9 +241,9 @@ class _HandedPyramid(PyramidWithProposals):
             for i in range(0, 3 * EXPORT_SHAPE.pyramid_levels, EXPORT_SHAPE.pyramid_levels)
         )
         self.proposals = (scores, offsets)
-        # The pooling of regions, which happens up to three times, needs this layout.
-        rows = [feature_map.contiguous(memory_format=torch.channels_last) for feature_map in features]
-        return OrderedDict(zip(("0", "1", "2", "3", "pool"), rows, strict=True))
+        # In memory the channels stay last, as the pooling of regions needs them.
+        maps = [feature_map.permute(0, 3, 1, 2) for feature_map in features]
+        return OrderedDict(zip(("0", "1", "2", "3", "pool"), maps, strict=True))
 
 
 class _HandedBoxHead(nn.Module):
@@ -243,7 +252,7 @@ class _HandedBoxHead(nn.Module):
         self._run = run
 
     def forward(self, regions: Tensor) -> tuple[Tensor, Tensor]:
-        classes, offsets = _computed(self._run, regions)
+        classes, offsets = _computed(self._run, regions.permute(0, 2, 3, 1))
         return classes, offsets
 
 
@@ -253,7 +262,7 @@ class _HandedKeypointHead(nn.Module):
         self._run = run
 
     def forward(self, regions: Tensor) -> Tensor:
-        return _computed(self._run, regions)[0]
+        return _computed(self._run, regions.permute(0, 2, 3, 1))[0]
 
 
 class _Upsampled(nn.Module):
