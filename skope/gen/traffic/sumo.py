@@ -218,20 +218,20 @@ class Traffic:
         watched: Callable[[float, float], bool] = lambda x, y: True,
         riders: Riding = USUAL_RIDERS,
     ) -> None:
-        """Draw the traffic; SUMO starts when the context is entered.
+        """Sample the trips. SUMO starts when the context is entered.
 
         Args:
             network: Compiled SUMO network.
             fleet: Models in the traffic, by name.
             vehicles_per_hour: Total arrival rate on all entries of the network.
-            duration: Time for which trips are drawn, seconds.
+            duration: Time for which trips are sampled, seconds.
             rng: Random generator for trips, models, drivers and SUMO's seed.
             flows: Text of a SUMO route file, used instead of `vehicles_per_hour`.
             passing: Edges; if given, `vehicles_per_hour` counts only trips over at least one of them.
             step: Length of a step, seconds.
             watched: Function that returns whether a position (world x, y in metres) is watched. A vehicle is reported
                 once it has entered a watched position. Default: everywhere.
-            riders: Number of riders per vehicle in drawn traffic, and their riding style.
+            riders: Number of riders per vehicle in sampled traffic, and their riding style.
 
         Raises:
             UserError: `flows` does not fit the network.
