@@ -380,7 +380,7 @@ class Camera:
         return np.concatenate([ideal, np.ones_like(ideal[..., :1])], axis=-1), valid
 
     def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> tuple[Array, Mask]:
-        """Return world points (..., 3) of pixels (..., 2) at planar depths (...,), metres, and (...,) their validity."""
+        """Return world points (..., 3) of pixels (..., 2) at planar depths (...,), metres, and their validity."""
         rays, valid = self.rays(pixels)
         p = rays * np.asarray(depth, dtype=np.float64)[..., None]
         return (p - self.T_camera_world[:3, 3]) @ self.T_camera_world[:3, :3], valid

@@ -398,7 +398,7 @@ def parse_settings(settings: list[str]) -> dict[str, Range]:
 
 
 def check_settings(settings: Mapping[str, Range]) -> dict[str, Range]:
-    """Return the settings if every field is known and within its limits; raise a UserError otherwise."""
+    """Return the settings if every field is known and within its limits. Otherwise raise a UserError."""
     for name, (low, high) in settings.items():
         least, most = CONDITION_LIMITS[one_of("--set", name, tuple(CONDITION_LIMITS))]
         if not (math.isfinite(low) and math.isfinite(high) and least <= low <= high <= most):

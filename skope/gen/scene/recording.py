@@ -89,7 +89,7 @@ class RecordingPlan:
         return rng(self.seed, self.site.name, self.index, stream, *which)
 
     def shared_rng(self, stream: Stream, *which: int) -> np.random.Generator:
-        """Return the generator of a stream that all recordings with the same traffic share."""
+        """Return the generator of a stream that is the same for all recordings of one simulated traffic."""
         return rng(self.seed, self.site.name, self.leader, stream, *which)
 
     def shape_rng(self, name: str, model: str) -> np.random.Generator:

@@ -238,7 +238,7 @@ class Traffic:
         """
         self._network, self._fleet, self._step, self._watched = network, fleet, step, watched
         self._riders = riders
-        # SUMO's seed is drawn before the trips, so that a longer recording, with more trips, begins like a shorter one.
+        # SUMO's seed is sampled before the trips, so a longer recording (with more trips) begins like a shorter one.
         self._seed = int(rng.integers(1, 2**30))
         planned = (
             scheduled(flows, network, fleet, duration=duration, rng=rng)
