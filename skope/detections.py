@@ -36,7 +36,7 @@ class RoadUserDetections:
         return len(self.scores)
 
     def of(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Self:
-        """Return some of them, selected by a mask (M,) or by indices in the new order."""
+        """Return selected detections. The selection is a mask (M,), or indices in the new order."""
         return replace(
             self, boxes_xyxy=self.boxes_xyxy[chosen], scores=self.scores[chosen], categories=self.categories[chosen]
         )
@@ -203,7 +203,7 @@ def results_of(image_id: int, boxes_xyxy: ArrayLike, scores: ArrayLike, points: 
         image_id: Id of the image.
         boxes_xyxy: (N, 4) pixels.
         scores: (N,) 0 to 1.
-        points: (N, 33, 3) x, y, p as in `Detections`.
+        points: (N, 33, 3) x, y (pixels) and probability.
 
     Returns:
         N COCO results, in the same order.

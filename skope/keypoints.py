@@ -188,15 +188,15 @@ class Scheme:
     name: str
     names: tuple[str, ...]
     flip: tuple[int, ...] | None
-    """(K,) index of each keypoint's mirror partner, as in `FLIP`; None if the partners are not known, so that images
-    cannot be mirrored."""
+    """(K,) index of each keypoint's mirror partner. None if the partners are not known; images can then not be
+    mirrored."""
     skeleton: tuple[tuple[int, int], ...]
     """Pairs of 0-based indices."""
     sigmas: tuple[float, ...]
     colors: tuple[tuple[int, int, int], ...]
 
     def fields(self, name_field: str = "keypoint_scheme") -> dict[str, Any]:
-        """Fields of files that identify the scheme, as `scheme_in` reads them."""
+        """Fields that identify the scheme in files; `scheme_in` reads them."""
         return {name_field: self.name} | ({"keypoint_edition": EDITION} if self.name == SCHEME else {})
 
     def __post_init__(self) -> None:
@@ -220,7 +220,7 @@ SCHEMES: Final[dict[str, Scheme]] = {scheme.name: scheme for scheme in (SKOPE33,
 
 
 def scheme_in(values: Mapping[str, Any], name_field: str = "keypoint_scheme") -> Scheme:
-    """Return the scheme that a file specifies by `Scheme.fields`; raise a UserError for an unknown name or edition."""
+    """Return the scheme that a file specifies by `Scheme.fields`. Raises UserError for an unknown name or edition."""
     name = one_of(name_field, values.get(name_field), tuple(SCHEMES))
     edition = values.get("keypoint_edition")
     if name == SCHEME and edition != EDITION:

@@ -320,7 +320,10 @@ class TomlTable:
 
     @classmethod
     def parse(cls, path: Path, text: str) -> Self:
-        """Return the table of a file's text. Messages name `path`; paths in the table are relative to it."""
+        """Parse the text of a TOML file.
+
+        `path` is used in error messages, and paths in the table are relative to its folder.
+        """
         try:
             return cls(path, "", tomllib.loads(text))
         except ValueError as error:  # also a number with more digits than Python reads
@@ -424,7 +427,7 @@ class TomlTable:
         return [TomlTable(self.path, self._within(key), value, self.files) for value in values]
 
     def rows(self, key: str) -> list["TomlTable"]:
-        """Return a list of tables that messages number from 1, as in `gates[2]`."""
+        """Return a list of tables. Error messages number them from 1, for example `gates[2]`."""
         numbered = enumerate(self.tables(key), start=1)
         return [TomlTable(row.path, f"{row._name}[{i}]", row._values, row.files) for i, row in numbered]
 

@@ -85,7 +85,10 @@ def category_rows(categories: Iterable[str], scheme: Scheme = SKOPE33) -> list[d
 
 
 def checked_categories(categories: Iterable[str]) -> tuple[str, ...]:
-    """Return category names in the order of their ids; a UserError if one is unknown or `vehicle` is missing."""
+    """Return category names in the order of their ids.
+
+    Raises UserError if a name is unknown or `vehicle` is missing.
+    """
     names = tuple(categories)
     for name in names:
         check_choice("categories", name, CATEGORY_NAMES)

@@ -20,4 +20,4 @@ Mask = NDArray[np.bool_]
 Pixels = NDArray[np.uint8]
 """(H, W, 3) RGB, or (H, W) grey, 0 to 255."""
 Range = tuple[float, float]
-"""Minimum and maximum of a range from which a value is drawn."""
+"""Minimum and maximum of a range from which a value is sampled."""

@@ -137,7 +137,10 @@ def generate(
 
 
 def _names(argument: str, given: str | Sequence[str] | None, known: Sequence[str]) -> str | None:
-    """Return names as the command line takes them; a UserError for an unknown one."""
+    """Return names separated by commas, as text for a command-line option; None without names.
+
+    Raises UserError for an unknown name. `argument` is used only in its message.
+    """
     if given is None:
         return None
     names = [given] if isinstance(given, str) else list(given)
@@ -147,7 +150,10 @@ def _names(argument: str, given: str | Sequence[str] | None, known: Sequence[str
 
 
 def _range(name: str, value: float | tuple[float, float]) -> str:
-    """Return a condition as the command line takes it; a UserError for a wrong type."""
+    """Return the value or range of a condition as text for `--set`, for example "-1.0..1.0".
+
+    Raises UserError if the value is neither a number nor two numbers.
+    """
     ends = (value,) if isinstance(value, int | float) else tuple(value)
     if len(ends) not in (1, 2) or not all(isinstance(end, int | float) for end in ends):
         raise UserError(f"conditions: {name}: expected a number or the two ends of a range, got {value!r}")

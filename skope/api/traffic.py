@@ -23,7 +23,8 @@ def read_site(path: str | Path) -> "SiteFile":
         path: The .toml file, for example from `skope eval site`.
 
     Returns:
-        The site with its `gates`, `zones` and `lanes`, coordinates in metres.
+        The site with its `gates`, `zones` and `lanes`. Coordinates are in metres. A gate that was drawn in the image
+        also has `pixels`, and has no coordinates in metres if the site has no camera.
 
     Raises:
         UserError: The file cannot be read, or a value in it is wrong.

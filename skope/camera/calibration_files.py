@@ -41,7 +41,7 @@ def is_camera_json(path: Path) -> bool:
 
 
 def camera_of_json(path: Path, document: dict[str, Any]) -> Camera:
-    """Return the camera of a file's document. Raise UserError naming file and field."""
+    """Return the camera of a file's document. Raises UserError with the file and the invalid field."""
     try:
         return Camera.from_dict(document, int(document["width"]), int(document["height"]))
     except (KeyError, TypeError, OverflowError):
@@ -170,7 +170,7 @@ def read_opencv(path: Path) -> CameraCalibration:
 
 
 def _storage(path: Path) -> dict[str, Any]:
-    """Return keys and values of a file. Raise UserError if OpenCV cannot read it."""
+    """Return keys and values of a file. Raises UserError if OpenCV cannot read it."""
     import cv2
 
     data = read_bytes(path)  # raises UserError for a missing file, which OpenCV only logs
@@ -219,7 +219,10 @@ def _matrix(values: Mapping[str, Any]) -> Any:
 
 
 def _single_camera(path: Path, values: dict[str, Any]) -> dict[str, Any]:
-    """Return the only camera of a file, also if it has a name as in Kalibr's files; raise UserError for several."""
+    """Return the only camera of a file, with or without a name (Kalibr's files have names).
+
+    Raises UserError if the file has several cameras.
+    """
     cameras = {key: value for key, value in values.items() if isinstance(value, dict) and "intrinsics" in value}
     if not cameras or _first(values, _K_NAMES) is not None:
         return values

@@ -109,7 +109,10 @@ def distortion(
 
 
 def _assume_brown(path: Path, coefficients: Array, K: Array, size: tuple[int, int] | None) -> None:
-    """Warn that four coefficients are read as Brown's; raise UserError if only a fisheye lens can have them."""
+    """Warn that four coefficients are read as Brown's.
+
+    Raises UserError if only a fisheye lens can have such coefficients.
+    """
     width, height = size or (2 * K[0, 2], 2 * K[1, 2])
     x, y = np.meshgrid([0.0, width / 2, width], [0.0, height / 2, height])
     border = np.linalg.solve(K, np.stack([x.ravel(), y.ravel(), np.ones(x.size)]))[:2].T

@@ -117,7 +117,10 @@ class Distortion:
         return radius, 1 + q * (3 * k1 + q * (5 * k2 + q * (7 * k3 + q * 9 * k4)))
 
     def distort(self, xy: Array) -> tuple[Array, Mask]:
-        """Distort ideal normalised coordinates x/z, y/z (..., 2); also return where the model is monotonic."""
+        """Distort ideal normalised coordinates x/z, y/z (..., 2).
+
+        Also return (...,) whether the model is monotonic there.
+        """
         if self.model == "none":
             return xy, np.ones(xy.shape[:-1], dtype=bool)
         return _by_blocks(self._distort_fisheye if self.model == "fisheye" else self._distort_brown, xy)
@@ -134,7 +137,7 @@ class Distortion:
         return distorted_x, distorted_y, (np.hypot(x, y) < self.fold) & (jacobian.determinant > 0)
 
     def undistort(self, xy: Array) -> tuple[Array, Mask]:
-        """Invert `distort` by Newton's method: (..., 2) -> (..., 2), and where a monotonic ideal point exists."""
+        """Invert `distort` by Newton's method: (..., 2) -> (..., 2). Also return (...,) whether the result is valid."""
         if self.model == "none":
             return xy, np.ones(xy.shape[:-1], dtype=bool)
         return _by_blocks(self._undistort_fisheye if self.model == "fisheye" else self._undistort_brown, xy)
@@ -332,7 +335,7 @@ class Camera:
 
     @property
     def angles(self) -> tuple[float, float, float]:
-        """Yaw, downward pitch and roll as in `looking`, radians."""
+        """Yaw, downward pitch and roll, radians; `looking` defines them."""
         x, y, z = self.T_camera_world[2, :3]
         yaw, pitch_down = math.atan2(y, x), math.asin(-max(-1.0, min(1.0, z)))
         level = np.array([math.sin(yaw), -math.cos(yaw), 0.0])
@@ -361,7 +364,15 @@ class Camera:
         return np.where(valid[..., None], pixels, np.nan), z, valid
 
     def rays(self, pixels: ArrayLike) -> tuple[Array, Mask]:
-        """Return camera-frame rays (..., 3) with z = 1 of pixels (..., 2), and where the distortion is invertible."""
+        """Return the viewing rays of pixels in the camera frame.
+
+        Args:
+            pixels: (..., 2) pixels.
+
+        Returns:
+            (..., 3) rays with z = 1, and (...,) whether the lens distortion can be inverted at the pixel. Other rays
+            are not valid.
+        """
         uv = np.asarray(pixels, dtype=np.float64)
         y = (uv[..., 1] - self.K[1, 2]) / self.K[1, 1]
         x = (uv[..., 0] - self.K[0, 2] - self.K[0, 1] * y) / self.K[0, 0]
@@ -369,7 +380,7 @@ class Camera:
         return np.concatenate([ideal, np.ones_like(ideal[..., :1])], axis=-1), valid
 
     def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> tuple[Array, Mask]:
-        """Return world points (..., 3) of pixels (..., 2) at planar depth (...,), metres, and where they are valid."""
+        """Return world points (..., 3) of pixels (..., 2) at planar depths (...,), metres, and their validity."""
         rays, valid = self.rays(pixels)
         p = rays * np.asarray(depth, dtype=np.float64)[..., None]
         return (p - self.T_camera_world[:3, 3]) @ self.T_camera_world[:3, :3], valid

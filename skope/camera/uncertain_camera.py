@@ -84,7 +84,7 @@ class UncertainCamera:
         )
 
     def covariance_dict(self) -> dict[str, Any]:
-        """Return the covariance as `from_dict` reads it."""
+        """Return the covariance as JSON values {of, matrix}, which `from_dict` reads."""
         return {"of": list(self.parameters), "matrix": self.covariance.tolist()}
 
     def prior(self, name: str) -> CameraPrior:

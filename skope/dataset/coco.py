@@ -75,7 +75,7 @@ def assembled(
 
     Args:
         rows: Row of each image, with the rows of its annotations.
-        path: Name of the file in messages.
+        path: Path of the file, used only in error messages.
         split: Name of the split.
         scheme: Scheme of the keypoints.
         categories: Names of the categories that were labelled.
@@ -120,7 +120,10 @@ def _label_parser(categories: tuple[str, ...]) -> Callable[[Mapping[str, Any]], 
 
 
 def images_of(path: Path, rows: Iterable[Any]) -> tuple[Image, ...]:
-    """Return the elements of `images`; a UserError names `path`, the record and the invalid field."""
+    """Return the elements of `images`.
+
+    Raises UserError with the record and the invalid field. `path` is used only in error messages.
+    """
     return _parse_rows(path, "images", rows, image_from_dict)
 
 
@@ -269,7 +272,7 @@ def read_results(path: Path, foreign: str | None = None) -> tuple[Result, ...]:
 
 
 def read_road_user_results(path: Path) -> tuple[RoadUserResult, ...]:
-    """Read the pedestrians and two-wheelers of a COCO results file; raise a UserError as `read_results` does."""
+    """Read the pedestrians and two-wheelers of a COCO results file. Raises UserError if a result is malformed."""
     return tuple(result for result in iter_all_results(path) if isinstance(result, RoadUserResult))
 
 

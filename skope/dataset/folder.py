@@ -121,7 +121,7 @@ class Dataset:
         return " ".join(str(stated).split())
 
     def read(self, split: str) -> AnnotationFile:
-        """Return the annotations of a split; a UserError lists the existing splits."""
+        """Return the annotations of a split. Raises UserError with a list of the splits if there is no such split."""
         if split not in self.splits:
             raise UserError(f"{self.root}: no split {split!r}; there are: {', '.join(self.splits) or 'none'}")
         if not self.sharded:
@@ -139,7 +139,10 @@ class Dataset:
         return (labelled for split in self.splits for labelled in self.images(split))
 
     def images(self, split: str) -> Iterator[LabelledImage]:
-        """Return the images of a split with their annotations; a UserError lists the existing splits."""
+        """Return the images of a split with their annotations.
+
+        Raises UserError with a list of the splits if there is no such split.
+        """
         file = self.read(split)
         vehicles, road_users = file.by_image(), file.road_users_by_image()
         return (
@@ -163,7 +166,7 @@ class Dataset:
 
 
 def open_dataset(root: Path) -> Dataset:
-    """Open a dataset folder; a UserError names what is missing."""
+    """Open a dataset folder. Raises UserError if the folder or a file in it is missing."""
     if not root.is_dir():
         raise UserError(f"{root}: no such dataset folder; `skope gen --out {root}` makes one")
     if not (root / CARD_FILE).is_file():
@@ -174,7 +177,7 @@ def open_dataset(root: Path) -> Dataset:
 
 
 def read_card(root: Path) -> dict[str, Any]:
-    """Return the card of a dataset folder; a UserError names a field of the wrong type."""
+    """Return the card of a dataset folder. Raises UserError if a field has the wrong type."""
     path = root / CARD_FILE
     card = read_json(path)
     try:

@@ -57,7 +57,7 @@ def read(path: Path) -> bytes:
 
 
 def read_member(shard: Path, name: str) -> bytes:
-    """Return a member's bytes; a UserError names what is missing or broken."""
+    """Return a member's bytes. Raises UserError if the shard or the member is missing or broken."""
     offset, size = _byte_range(shard, name)
     try:
         with shard.open("rb") as file:

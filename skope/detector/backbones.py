@@ -68,7 +68,7 @@ class Backbone:
     """Classifier of torchvision that serves as the backbone of a detector."""
 
     title: str
-    """Name for messages."""
+    """Name of the backbone, used in messages."""
     make: Callable[..., Any]
     """torchvision's function that builds the classifier; takes `weights` and `norm_layer`."""
     layers: str = ""
@@ -84,7 +84,7 @@ class Backbone:
 
     @property
     def returned(self) -> dict[str, str]:
-        """Layer to the name of the map that it gives, as for `BackboneWithFPN`."""
+        """Name of the feature map of each layer that has one; argument of `BackboneWithFPN`."""
         return {stage[-1]: str(number) for number, stage in enumerate(self.stages[1:])}
 
 

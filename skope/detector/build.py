@@ -146,7 +146,10 @@ class DetectorConfig:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """Return the config from the result of `to_dict`; a UserError names the missing, unknown or invalid field."""
+        """Return the config from the result of `to_dict`.
+
+        Raises UserError if a field is missing, unknown or invalid.
+        """
         if isinstance(values, Mapping):
             keypoints.scheme_in(values, "scheme")
             values = {name: value for name, value in values.items() if name != "keypoint_edition"}
@@ -189,7 +192,7 @@ class KeypointNetwork(KeypointRCNN):  # type: ignore[misc]  # torchvision has no
     """torchvision's Keypoint R-CNN with one or two passes of the box head."""
 
     box_passes: int = 1
-    """Number of passes, as in `DetectorConfig`."""
+    """Number of passes of the box head."""
 
 
 def box_passes_of(model: KeypointRCNN) -> int:

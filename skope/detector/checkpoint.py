@@ -134,7 +134,7 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]
 
 
 def config_in(path: Path, header: Mapping[str, Any]) -> DetectorConfig:
-    """Return the config in a checkpoint's header; a UserError names the file and the invalid field."""
+    """Return the config in a checkpoint's header. Raises UserError with the file and the invalid field."""
     try:
         return DetectorConfig.from_dict(header["config"])
     except UserError as error:

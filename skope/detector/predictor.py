@@ -269,7 +269,7 @@ class Predictor:
             yield from self._found(batch)
 
     def each_ahead(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
-        """Yield the results of each image as `each` does, with batches prepared (on a GPU: processed) in advance."""
+        """Yield the results of each image in order. Batches are prepared (on a GPU: processed) in advance."""
         if self._device.type != "cuda":
             return self.each(read_ahead(images, 2 * self.batch_size))
         pinned = ((image, _pinned(pixels)) for image, pixels in images)

@@ -197,7 +197,10 @@ def write(
 
 
 def read(weights: Path, scheme: str = keypoints.SCHEME) -> ScoreCalibration | None:
-    """Return the calibration beside a checkpoint, or None; raise a UserError if it was fitted to different weights."""
+    """Return the calibration beside a checkpoint, or None.
+
+    Raises UserError if the calibration was fitted to different weights.
+    """
     path = path_beside(weights)
     if not path.is_file():
         return None

@@ -19,7 +19,7 @@ def decoded(data: bytes) -> str:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a user's file in UTF-8; a UserError names a file that is missing or has other content."""
+    """Return the text of a user's file. Raises UserError if the file is missing or is not UTF-8."""
     try:
         return decoded(read_bytes(path))
     except UnicodeDecodeError:
@@ -27,7 +27,7 @@ def read_text(path: Path) -> str:
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file, in hexadecimal; a UserError names a file that cannot be read."""
+    """Return the SHA-256 of a file, in hexadecimal. Raises UserError if the file cannot be read."""
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()

@@ -43,7 +43,7 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file; a UserError names a missing or malformed file."""
+    """Read a JSON file. Raises UserError if the file is missing or malformed."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:

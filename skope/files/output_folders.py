@@ -110,7 +110,7 @@ def replaceable_output(
 
 
 def work_of(command: str, inputs: Iterable[Path], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what identifies a run, as `work.json` has it.
+    """Return the identity of a run, which `work.json` stores.
 
     Args:
         command: The command, for example "skope eval track".
@@ -179,7 +179,7 @@ def move_new(source: Path, target: Path) -> None:
 def _recorded_work(folder: Path, flag: str) -> Any:
     """Return the content of a folder's `work.json`; None if the folder is missing or holds nothing else.
 
-    Raises UserError for a file, and for a folder that holds files but no `work.json`.
+    Raises UserError if the path is a file, or a folder that holds files but no `work.json`.
     """
     if file := file_in_place_of(folder):
         raise UserError(f"{flag}: {file} is a file, expected a folder")

@@ -32,7 +32,7 @@ UNSAFE_NAME: Final = re.compile(r"\A\.{0,2}\Z|\A[A-Za-z]:|[\x00-\x1f\x7f-\x9f\u2
 
 
 def name(field: str, value: Any) -> str:
-    """Return `value` if it is a plain file name; raise a UserError that names the field otherwise.
+    """Return `value` if it is a plain file name. Otherwise raise a UserError that names the field.
 
     Hidden names, which begin with a dot, are rejected.
     """
@@ -45,7 +45,7 @@ def name(field: str, value: Any) -> str:
 
 
 def relative(field: str, value: Any) -> str:
-    """Return `value` if it is a path inside a dataset folder; raise a UserError that names the field otherwise."""
+    """Return `value` if it is a path inside a dataset folder. Otherwise raise a UserError that names the field."""
     if not is_relative(value):
         raise UserError(f"{field}: expected a path inside the dataset folder, got {_short(value)}")
     return str(value)
@@ -67,12 +67,15 @@ def counting_order(path: Path | str) -> list[str | int]:
 
 
 def for_opencv(path: Path | str) -> str:
-    """Return a path for OpenCV; a UserError if it is not UTF-8, because OpenCV would end the process."""
+    """Return a path as text for OpenCV.
+
+    Raises UserError if the path is not UTF-8, because OpenCV would end the process.
+    """
     return _in_utf8(path, "OpenCV")
 
 
 def for_ffmpeg(path: Path | str) -> str:
-    """Return a path for FFmpeg; a UserError if it is not UTF-8."""
+    """Return a path as text for FFmpeg. Raises UserError if the path is not UTF-8."""
     return _in_utf8(path, "FFmpeg")
 
 

@@ -135,7 +135,7 @@ class _Place:
     box: Array
     """(4,) x0, y0, x1, y1, pixels."""
     keypoints: Array
-    """(33, 3) as in `Result`; (0, 3) if there are none."""
+    """(33, 3) keypoints: x, y (pixels) and score; (0, 3) if there are none."""
 
     @classmethod
     def of(cls, result: AnyResult) -> "_Place":

@@ -56,7 +56,10 @@ class LiveDetectorSelector:
 
     @classmethod
     def load(cls, given: str | None, settings: Settings, every: int, console: Console) -> "LiveDetectorSelector":
-        """Load the detectors that come with skope, or the `given` one. Raises UserError as `Predictor.load`."""
+        """Load the detectors that come with skope, or the `given` one.
+
+        Raises UserError if a checkpoint cannot be loaded.
+        """
         names = weights.BY_ACCURACY if given is None else (given,)
         return cls([Predictor.load(Path(name), settings, console) for name in names], every, console)
 

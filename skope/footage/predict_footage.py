@@ -56,7 +56,7 @@ processors also limits it. With fewer, a GPU would wait."""
 
 
 class Watcher(Protocol):
-    """Observer of frames on their way to the detector."""
+    """Observer of the frames of footage before they are detected."""
 
     def watch(self, frames: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
         """Yield the same frames, in their order."""

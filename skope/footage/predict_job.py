@@ -106,10 +106,10 @@ class PredictJob:
 
     @property
     def key_every(self) -> int:
-        """Number of frames from one key frame to the next; 1 means that the detector runs on every frame.
+        """Number of frames from one key frame to the next. 1: the detector runs on every frame.
 
-        On a CPU, vehicles are followed through the frames of a recorded video if its frame rate is high enough. The
-        frames of a live stream come irregularly.
+        The result is above 1 only on a CPU, and only for recorded footage with a frame rate that is high enough to
+        follow vehicles through the frames in between.
         """
         dense = self.footage.fps is not None and self.footage.fps * LINK_LIMITS.frame_gap_s >= 1
         if self.every_frame or not dense or choose_device(self.settings.device).type != "cpu":

@@ -224,7 +224,7 @@ def _occluder(row: TomlTable, camera: Camera, level: float) -> Occluder:
 
 
 def _shade(table: TomlTable, camera: Camera) -> PixelOutline:
-    """Return the outline of a shadow; raise a UserError if it is not completely on the ground."""
+    """Return the outline of a shadow. Raises UserError if it is not completely on the ground."""
     outline = read_outline(table)
     table.done()
     rays, valid = camera.rays(outline)
@@ -308,7 +308,7 @@ def _splits(table: TomlTable) -> tuple[str, ...]:
 
 
 def _checked_graph(table: TomlTable, road: OwnRoad) -> RoadGraph:
-    """Return the graph of the road; raise a UserError if style, camera and road do not fit together."""
+    """Return the graph of the road. Raises UserError if style, camera and road do not fit together."""
     camera = road.camera
     if camera.distortion.model != "none":
         try:

@@ -37,7 +37,10 @@ EMBEDDED_IMAGE: Final = EmbeddedImage()
 
 
 def embedded(path: Path, size: tuple[int, int]) -> str:
-    """Return an image file of `size` (width, height) as a data URL; a UserError names the error in it."""
+    """Return an image file of `size` (width, height) as a data URL.
+
+    Raises UserError if the file is not such an image.
+    """
     return jpeg(read_image(path, size))
 
 

@@ -36,7 +36,7 @@ START_ERRORS: Final = StartErrors()
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Poses of N vehicles from J starts each."""
+    """Initial poses of the optimisation: J for each of N vehicles."""
 
     p: Array
     """(N, J, 3) positions, metres."""
@@ -66,7 +66,7 @@ class Starts:
 
 
 def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | None = None) -> Starts:
-    """Place each body type's mean on the keypoints of each vehicle, on the road.
+    """Estimate an initial pose on the road for each vehicle and body type, from the mean shape of the body type.
 
     Args:
         seen: Keypoints of N vehicles.

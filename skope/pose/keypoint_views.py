@@ -112,7 +112,7 @@ class Scene:
         return any(a.box_3d is not None for a in self.file.annotations)
 
     def camera_of(self, image: Image) -> Camera:
-        """Return the camera of an image, at the image's size. Raise UserError if neither scene nor image has one."""
+        """Return the camera of an image, at the image's size. Raises UserError if neither scene nor image has one."""
         camera = self.turned.get(image.id) or self.camera or image.camera
         if camera is None:
             raise UserError(
@@ -122,7 +122,7 @@ class Scene:
         return sized(camera, (image.width, image.height), image.file_name)
 
     def camera_in(self, image: Image) -> Camera:
-        """Return the camera of an image as turned by its shake. Raises UserError as `camera_of` does."""
+        """Return the camera of an image, turned by the camera shake in it. Raises UserError without a camera."""
         camera = self.camera_of(image)
         return self.motion.camera_in(camera, image.id) if self.motion else camera
 

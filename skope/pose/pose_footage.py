@@ -204,7 +204,7 @@ class PoseJob:
     score: float
     """Minimum score of detections."""
     sigma_px: float | None
-    """Standard deviation of a keypoint, pixels; None as in `Scene.views`."""
+    """Standard deviation of a keypoint, pixels; None: the default of `Scene.views`."""
     noise: Sequence[float]
     """Standard deviations of the noise that is added to labelled keypoints, pixels. Poses use the first; errors are
     measured with each."""

@@ -70,7 +70,7 @@ def fleet_shapes() -> Shapes:
 
 
 def read_shapes(path: Path) -> Shapes:
-    """Read a file of `scripts/vehicle_shapes.py`. Raise UserError, naming file and type, if it is malformed."""
+    """Read a file of `scripts/vehicle_shapes.py`. Raises UserError with file and body type if it is malformed."""
     document = read_json(path)
     if not isinstance(document, dict) or document.get("scheme") != keypoints.SCHEME:
         raise UserError(f"{path}: scheme: expected shapes of keypoint scheme {keypoints.SCHEME!r}")

@@ -37,7 +37,7 @@ class CalibrationMarks:
     """Prior of the camera from its vehicles."""
 
     def evidence(self, size: tuple[int, int] | None = None) -> Evidence:
-        """Return the evidence for images of `size`; None: of the file's own size.
+        """Return the evidence for images of `size`. None: the size of the images in which the marks were set.
 
         Raises UserError if neither gives a size, or they contradict each other.
         """
@@ -132,7 +132,7 @@ def _measured(table: TomlTable, key: str, limits: tuple[float, float]) -> tuple[
 
 
 def _lens(table: TomlTable, unknown: list[str]) -> Mapping[str, tuple[float, float]]:
-    """Return the lens. Raise UserError if it has no focal length."""
+    """Return the lens. Raises UserError if it has no focal length."""
     focal = _measured(table, "focal_px", LENS_RANGES["focal_px"])
     if focal is None:
         raise table.wrong("focal_px", "missing: expected [value, standard deviation] in pixels")

@@ -121,7 +121,7 @@ def gate_on_road(gate: Gate, camera: Camera) -> Gate:
 
 
 def read_gate(row: TomlTable) -> Gate:
-    """Read a gate. Raise UserError naming file and key, as all readers here do."""
+    """Read a gate. Raises UserError with the file and the invalid key."""
     if "line" not in row and "pixels" not in row:
         raise row.wrong("line", "missing: draw the gate (`pixels`) or survey it (`line`)")
     return Gate(
@@ -202,7 +202,7 @@ def read_occluder(row: TomlTable) -> OccluderMark:
 
 
 def read_outline(row: TomlTable, corner: str = "[column, row]") -> Outline:
-    """Return at least three corners of `polygon`, without crossing sides; `corner` describes a corner in messages."""
+    """Return at least three corners of `polygon`, without crossing sides. `corner` is used only in error messages."""
     points = row.value("polygon")
     if not isinstance(points, list) or len(points) < 3:
         raise row.wrong("polygon", f"expected three or more {corner}")

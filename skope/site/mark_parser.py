@@ -55,7 +55,7 @@ MARK_KINDS: Final = ("points", "lengths", "parallels", "verticals")
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """Fault of one field of one entry."""
+    """Error in one field of an entry of the page's document."""
 
     kind: str
     """Name of the list."""

@@ -126,7 +126,7 @@ class SiteParts:
     start: datetime | None
     """Time at which the footage begins, with its zone; None: not given."""
     world: Mapping[str, Any] | None
-    """Position of the world's (0, 0) on a map, as `read_world` returns it; None: not given."""
+    """Position of the world's (0, 0) on a map; None if it is not given."""
     plan: PlanPicture | None
     """Image of the road from above; None: there is none."""
     traffic: TrafficSettings
@@ -148,7 +148,7 @@ class SiteFile(SiteParts):
 
 
 def read_site(path: Path) -> SiteFile:
-    """Read and check a site file.
+    """Read and check a site file (TOML).
 
     Args:
         path: A TOML file (docs/own-road.md); files that it names are relative to its folder.
@@ -160,7 +160,16 @@ def read_site(path: Path) -> SiteFile:
 
 
 def parse_site(path: Path, data: bytes) -> SiteFile:
-    """Return the site file of these bytes; messages name `path`. Raises as `read_site` does."""
+    """Parse the content of a site file.
+
+    Args:
+        path: Path of the file. It is used in error messages, and files that the content names are relative to its
+            folder.
+        data: Content of the file.
+
+    Raises:
+        UserError: A file cannot be read, or a key is missing or invalid; the message names file and key.
+    """
     try:
         table = TomlTable.parse(path, decoded(data))
     except UnicodeDecodeError:
@@ -183,7 +192,7 @@ def parse_site(path: Path, data: bytes) -> SiteFile:
 
 
 def read_parts(table: TomlTable) -> SiteParts:
-    """Return the shared parts of a site file. Raise UserError naming file and key."""
+    """Return the shared parts of a site file. Raises UserError with the file and the invalid key."""
     unknown: list[str] = []
     zone = _time_zone(table)
     gates = _named(table, "gates", read_gate, unknown)

@@ -82,7 +82,7 @@ def read_world(table: TomlTable, unknown: list[str]) -> Mapping[str, Any]:
 
 
 def _origin(table: TomlTable, unknown: list[str]) -> dict[str, float]:
-    """Return the origin. Raise UserError if it is neither in degrees nor in metres."""
+    """Return the origin. Raises UserError if it is neither in degrees nor in metres."""
     limits = {"longitude": 180.0, "latitude": 90.0}
     if "easting" in table or "northing" in table:
         limits = {"easting": _FARTHEST_M, "northing": _FARTHEST_M}

@@ -47,7 +47,7 @@ def save_site(path: Path, changes: Mapping[str, Any], revision: str | None) -> S
 
 
 def _unchanged(path: Path, whole: Path, revision: str | None) -> bytes | None:
-    """Return the file's bytes, None if there is none; raise UserError if they do not match the revision."""
+    """Return the file's bytes; None if there is no file. Raises UserError if the bytes do not match the revision."""
     data = read_bytes(whole) if whole.exists() else None
     if (None if data is None else hashlib.sha256(data).hexdigest()) != revision:
         raise UserError(

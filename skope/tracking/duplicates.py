@@ -113,7 +113,7 @@ def give_up_duplicates(live: Sequence[OpenTrack], time_s: float) -> list[OpenTra
 
 
 def _hand_over(duplicate: OpenTrack, kept: OpenTrack) -> None:
-    """Give the detections of `duplicate` since it is inside `kept` to `kept`, in frames in which that one has none."""
+    """Move the detections of `duplicate` since it entered `kept` to `kept`, in frames in which `kept` has none."""
     kept_steps = {step.frame: step for step in kept.steps}
     before = [step for step in duplicate.steps if step.time_s < duplicate.surrounded_s]
     apart = [

@@ -109,7 +109,7 @@ class GroundView:
         return self.camera.inside(self.pixels)
 
     def pale(self, picture: Pixels) -> Pixels:
-        """Return (H, W, 3) the camera's `picture` from above in pale grey; white where it shows no road.
+        """Project the camera's `picture` onto the road, seen from above: (H, W, 3), pale grey, white outside the image.
 
         It becomes paler with distance, where one of its pixels covers metres of road.
         """

@@ -56,7 +56,7 @@ class TrackJob:
     score: float
     """Minimum score of the detections to follow."""
     sigma_px: float | None
-    """Standard deviation of a keypoint, pixels; None as in `Scene.views`."""
+    """Standard deviation of a keypoint, pixels; None: the default of `Scene.views`."""
     video: bool
     """Whether to write a bird's-eye video."""
     overlay: bool
@@ -256,7 +256,7 @@ def _seen(job: TrackJob, progress: Progress, rejections: Counter[str]) -> Iterat
 
 
 def times_of(scene: Scene, fps: float | None) -> list[float]:
-    """Return the time of each image, seconds. Raise UserError if neither `fps` nor the file gives it."""
+    """Return the time of each image, seconds. Raises UserError if neither `fps` nor the file gives it."""
     images = scene.file.images
     if len(images) < 2:
         raise UserError(f"{scene.file.name}: tracks need two images or more, got {len(images)}")

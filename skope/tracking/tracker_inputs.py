@@ -52,7 +52,7 @@ class Detection:
 
 
 def detections_of(image: Located, *, linked: bool = True) -> list[Detection]:
-    """Return the vehicles of an image as tracker input. `linked`: keep their numbers as `Detection.link`."""
+    """Return the vehicles of an image as tracker input. `linked`: store their numbers in `Detection.link`."""
     view, poses = image.view, image.poses
     out = []
     for i, good in enumerate(image.good):

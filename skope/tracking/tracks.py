@@ -51,8 +51,8 @@ TRACK_LIMITS: Final = TrackLimits()
 def vehicle_class(body_types: Mapping[str, int]) -> tuple[str, float]:
     """Return the vehicle class of a track and its confidence, 0 to 1.
 
-    The confidence is the share of agreeing poses, drawn towards 0.5. Fewer poses are drawn more. A class below
-    `TRACK_LIMITS.class_confidence` is `unknown`.
+    The confidence is the share of agreeing poses, shrunk towards 0.5. The fewer poses there are, the more it is shrunk.
+    A class below `TRACK_LIMITS.class_confidence` is `unknown`.
 
     Args:
         body_types: Number of the track's poses with each body type.
@@ -89,7 +89,7 @@ class TrackPart:
     frames: NDArray[np.intp]
     times_s: Array
     states: Array
-    """(M, 6) means of the smoothed states, as in `skope.tracking.kalman`."""
+    """(M, 6) means of the smoothed states; `skope.tracking.kalman` defines their order."""
     covariances: Array
     """(M, 2, 2) covariances of the positions, square metres."""
     speed_sigmas: Array

@@ -237,7 +237,7 @@ def row_interval(
         classes: The classes of the row.
 
     Returns:
-        The confidence interval; None in the cases of `confidence_interval`.
+        The confidence interval; None if `confidence_interval` returns None.
     """
     most = partial(unseen.most, *side, interval)
     count = sum(is_in_row(crossing, lane, classes) for crossing in crossings)
@@ -289,7 +289,10 @@ def distribution_of(
     classes: Collection[str],
     shifts: Sequence[int] = (),
 ) -> CountDistribution | None:
-    """Return the count of a row with its errors; arguments and None as in `confidence_interval`."""
+    """Return the count of a row with its errors.
+
+    Arguments, and the cases of None, are those of `confidence_interval`.
+    """
     errors, count = [], 0
     for kind in kinds:
         named = kind.classes - {UNKNOWN_CLASS}

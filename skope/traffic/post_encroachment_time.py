@@ -131,12 +131,12 @@ def _finer(
 
 
 def by_area(first: FootprintPath, second: FootprintPath, about_s: float) -> Encroachment | None:
-    """Find the encroachment by the area that both road users cover around a time.
+    """Find the post-encroachment time by the definition of Allen, Shin and Cooper: the area that both road users cover.
 
     Args:
         first: Path of the first road user.
         second: Path of the second road user.
-        about_s: The time, seconds of the footage.
+        about_s: Middle of the period in which areas are compared, seconds of the footage.
 
     Returns:
         The encroachment; None if there is no common area.

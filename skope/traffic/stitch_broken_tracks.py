@@ -83,7 +83,7 @@ def _likely_pairs(ordered: Sequence[Track]) -> list[tuple[float, int, int]]:
 
 
 def _likelihood(before: Track, after: Track) -> float:
-    """Return the density, per square metre, that `after` continues `before`; 0 if it is impossible."""
+    """Return the probability density, per square metre, that `after` continues `before`; 0 if that is impossible."""
     if before.category != after.category or "impossible_motion" in {*before.flags, *after.flags}:
         return 0.0
     if before.category != VEHICLE_CATEGORY and "never_moved" in {*before.flags, *after.flags}:

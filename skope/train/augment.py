@@ -100,12 +100,12 @@ class Augment:
             rng: Random generator that selects the steps and their strengths.
             scale: Size of the image inside the network relative to its own size; `reduce` applies below 1.
         """
-        # With a separate generator, the other draws do not depend on it.
+        # With a separate generator, the other random numbers do not depend on it.
         reduced = scale < 1 and rng.spawn(1)[0].random() < self.reduce
         size = _size(pixels, scale if reduced else 1.0)
         clean = rng.random() < self.clean
         for name, step in AUGMENT_STEPS.items():
-            # Drawn for every step, so that the probability of one step does not affect other steps.
+            # Sampled for every step, so that the probability of one step does not affect other steps.
             chosen, step_rng = rng.random() < getattr(self, name), np.random.default_rng(rng.integers(2**63))
             if name == "crop":
                 # One interpolation for both, so that an enlarged part is as sharp as the image allows.

@@ -40,7 +40,7 @@ def cached_weights(weights: WeightsEnum) -> Path:
 
 
 def fetch(init: str, weights: WeightsEnum) -> Path:
-    """Return the file of published weights, downloaded if missing; raise a UserError if the download fails."""
+    """Return the file of published weights, downloaded if missing. Raises UserError if the download fails."""
     path = cached_weights(weights)
     if path.is_file():
         return path
@@ -284,7 +284,9 @@ def _loaded(
 def _with_categories(
     path: Path, state: PublishedState, categories: tuple[str, ...], drawn: PublishedState, wanted: tuple[str, ...]
 ) -> PublishedState:
-    """Return `state`, trained for `categories`, with a box predictor for the wanted ones; new rows are from `drawn`.
+    """Return `state`, trained for `categories`, with a box predictor for the wanted ones.
+
+    The rows of new classes are those of `drawn` (random weights).
 
     The predictor's weights have rows for the background and each category: one for classes and four for boxes. New
     classes start as rare. The scores of the existing classes then stay nearly unchanged, whereas new classes as likely

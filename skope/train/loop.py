@@ -260,7 +260,7 @@ class _Run:
         return self.training.epochs_done * self._steps + self.training.steps_done
 
     def _left(self, epoch: int) -> list[list[Draw]]:
-        """Yield the draws of each remaining step of an epoch, of all processes together."""
+        """Return the sample requests of each remaining step of an epoch, for all processes together."""
         draws = training_samples.order(self.training_set.sizes, self.config.mix, seed=self.config.seed, epoch=epoch)
         size = self.config.recipe.batch_size
         groups = [draws[i : i + size] for i in range(0, len(draws), size)]

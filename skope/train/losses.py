@@ -86,7 +86,7 @@ def detection_losses(
 def network_images(
     transform: GeneralizedRCNNTransform, pixels: Sequence[Tensor]
 ) -> tuple[ImageList, list[HeightWidth]]:
-    """Return images for the backbone, as from `transform`, and their original sizes."""
+    """Return the images resized and normalised by the rules of `transform`, and their original sizes."""
     device = pixels[0].device
     mean, deviation = (to_device(each, device)[:, None, None] for each in (transform.image_mean, transform.image_std))
     before: list[HeightWidth] = [(image.shape[1], image.shape[2]) for image in pixels]
@@ -189,7 +189,7 @@ def _chosen_in_turn(
 def _chosen_at_once(
     boxes: Tensor, scores: Tensor, valid: Tensor, counts: list[int], *, most: float, first: int
 ) -> list[Tensor]:
-    """Return the same as `_chosen_in_turn`, with operations that suit a GPU."""
+    """Select the same boxes as `_chosen_in_turn`, with operations that suit a GPU."""
     levels = zip(torch.split(boxes, counts, dim=1), torch.split(valid, counts, dim=1), strict=True)
     stays = torch.cat([not_overlapped(*level, most) for level in levels], dim=1)
     order = scores.masked_fill(~stays, -1.0).argsort(dim=1, descending=True, stable=True)

@@ -25,7 +25,7 @@ class TeacherRules:
     """Teacher of a distillation, and the weight of each of its losses; the losses of the labels have weight 1."""
 
     checkpoint: str | None = None
-    """Name, run folder or file, as for `--checkpoint`; None: training on labels alone."""
+    """Name, run folder or file of the teacher; None: training on labels alone."""
     classes: float = 1.0
     boxes: float = 1.0
     keypoints: float = 1.0
@@ -49,7 +49,7 @@ class TeacherRules:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Return the table of a TOML file; a UserError names a missing or malformed file."""
+    """Return the table of a TOML file. Raises UserError if the file is missing or malformed."""
     try:
         return tomllib.loads(read_text(path))
     except ValueError as error:  # also a number with more digits than Python reads
@@ -197,7 +197,7 @@ class Recipe:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """Return the recipe from the result of `to_dict`; a UserError names missing or unknown fields."""
+        """Return the recipe from the result of `to_dict`. Raises UserError if a field is missing or unknown."""
         return dataclass_of(cls, values, "recipe")
 
     def with_min_size(self, min_size: int) -> Self:

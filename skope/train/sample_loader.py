@@ -24,7 +24,7 @@ from skope.train.step import ignore_signals
 from skope.train.training_samples import Draw, TrainingSample, TrainingSet
 
 DrawGroup = Sequence[Draw]
-"""Draws that are loaded together."""
+"""Requests for the samples that are loaded together."""
 
 SHARED_MEMORY: Final = Path("/dev/shm")
 
@@ -47,7 +47,7 @@ LOADER_LIMITS: Final = LoaderLimits()
 
 
 class Loader:
-    """Loads groups of draws from a training set, in order."""
+    """Loader of groups of samples from a training set, in order."""
 
     def __init__(
         self,
@@ -71,7 +71,7 @@ class Loader:
         self._training_set, self._console, self._pin, self._stopping = training_set, console, pin, stopping
 
     def batches(self, groups: Iterable[DrawGroup], largest: int) -> Iterator[list[TrainingSample]]:
-        """Yield the samples of each group of draws; `largest` is the size of the largest group.
+        """Yield the samples of each group of requests. `largest` is the size of the largest group.
 
         Groups are requested when they are needed. They can span many epochs, without a restart of the workers.
 
@@ -83,7 +83,7 @@ class Loader:
         prefetch = self._fit(largest)
         while asked:
             try:
-                # First the draws that were requested but not received when processes were lost, then the others.
+                # First the samples that were requested but not received when processes were lost, then the others.
                 for batch in self._loaded(_noted([*asked], left, asked), prefetch):
                     for item in batch:
                         if isinstance(item, UserError):
@@ -168,7 +168,7 @@ def _noted(again: Sequence[DrawGroup], left: Iterator[DrawGroup], asked: deque[D
 
 
 class _Batches(Sampler[list[Draw]]):
-    """Sampler for torch that yields groups of draws."""
+    """Sampler for torch that yields groups of sample requests."""
 
     def __init__(self, groups: Iterator[DrawGroup]) -> None:
         self._groups = groups

@@ -94,7 +94,7 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
 
 
 def common_scheme(sources: Sequence[TrainingSource]) -> Scheme:
-    """Return the keypoint scheme of all datasets; a UserError if they differ."""
+    """Return the keypoint scheme of all datasets. Raises UserError if the schemes differ."""
     first, *rest = sources
     for other_source in rest:
         if other_source.dataset.scheme is not first.dataset.scheme:

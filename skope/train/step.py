@@ -68,7 +68,7 @@ def loss_names(training: TrainingState) -> tuple[str, ...]:
 
 
 def seed(seed: int, epoch: int, step: int, processes: ProcessGroup) -> None:
-    """Seed torch's global state, from which a step draws its regions; the seed is the same after resuming."""
+    """Seed torch's global state, with which a step samples its regions. The seed is the same after resuming."""
     rank = () if processes.first else (processes.rank,)
     torch.manual_seed(int(np.random.SeedSequence((seed, epoch, step, *rank)).generate_state(1)[0]))
 

@@ -32,7 +32,7 @@ BOX_LOSS_BETA: Final = 1 / 9
 
 @dataclass(frozen=True)
 class Teacher:
-    """Detector for distillation, with the weights of its losses."""
+    """Frozen detector whose outputs a smaller detector learns (distillation), with the weights of its losses."""
 
     model: KeypointRCNN
     """In evaluation mode; no part of it is trainable."""
@@ -89,7 +89,7 @@ class TeacherOutputs:
             logits: (B S, C) logits of the student, for background and categories.
             deltas: (B S, 4 C) offsets of the student.
             labels: (B, S) labels of the regions; offsets are trained for vehicles and other road users.
-            drawn: (B, S) bool, whether a region is sampled.
+            drawn: (B, S) bool: whether a region is in the sample on which the losses are computed.
 
         Returns:
             Weighted means over the sampled regions: divergence of the class probabilities, and error of the offsets.

@@ -1,7 +1,7 @@
 """Training samples: images and targets in the form of torchvision's detectors, with augmentation, and their order.
 
-The augmentation of an image depends only on seed, epoch, dataset, image id and the number of earlier draws. It is
-therefore independent of the number of workers or processes and of interruptions.
+The augmentation of an image depends only on seed, epoch, dataset, image id and the number of earlier uses in the epoch.
+It is therefore independent of the number of workers or processes and of interruptions.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from skope.train.target_batch import IGNORED_KEY
 from skope.train.targets import Vehicles, vehicles_of
 
 Draw = tuple[int, int, int]
-"""Epoch, position in the training set, and number of earlier draws in the epoch."""
+"""Request for a sample: epoch, index of the image in the training set, and number of its earlier uses in the epoch."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class DetectionDataset(TorchDataset[tuple[torch.Tensor, dict[str, torch.Tensor]]
         return len(self._images)
 
     def __getitem__(self, index: int) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-        """Return pixels (3, H, W) float32 from 0 to 1, and the target as in `TrainingSample`."""
+        """Return pixels (3, H, W) float32 from 0 to 1, and the target (see `TrainingSample`)."""
         labelled = self._images[index]
         vehicles = vehicles_of(labelled.record, labelled.annotations, labelled.road_users, self._categories)
         sample = to_sample(labelled.record.file_name, labelled.pixels(), vehicles, self._supervise)
@@ -170,12 +170,12 @@ def to_sample(name: str, pixels: NDArray[np.uint8], vehicles: Vehicles, supervis
 
 
 def order(sizes: Sequence[int], mix: float | None, *, seed: int, epoch: int) -> list[Draw]:
-    """Draw the order of an epoch, with one draw per image.
+    """Sample the order of the images in an epoch.
 
     Args:
         sizes: Number of images of each dataset.
-        mix: Share of the draws from the first dataset; the others share the rest by size. Within a dataset, no image is
-            drawn again before all were drawn once. None: each image is drawn once.
+        mix: Share of the samples from the first dataset; the others share the rest by size. Within a dataset, no image
+            is used again before all were used once. None: each image is used once.
         seed: Seed of the run.
         epoch: Number of the epoch, from 0.
     """

@@ -133,7 +133,7 @@ def opened(address: str) -> Iterator[tuple["InputContainer", "VideoStream"]]:
 
 
 def shown_address(address: str) -> str:
-    """Return an address for messages, without user and password. Paths of files are unchanged."""
+    """Return an address without user and password, for use in messages. Paths of files are unchanged."""
     return CREDENTIALS_PATTERN.sub(r"\1", address) if "://" in address else address
 
 
@@ -223,11 +223,11 @@ class _Packets:
     times_s: tuple[float, ...]
     """Times of the shown frames since the first one, seconds; empty if some are missing or two are equal."""
     stamps: tuple[int, ...]
-    """Time stamps as in `VideoInfo.stamps`."""
+    """Time stamps for `VideoInfo.stamps`."""
     count: int
     """Number of frames."""
     lost: int
-    """Number of missing frames as in `VideoInfo.lost`."""
+    """Number of missing frames, for `VideoInfo.lost`."""
     rate: float
     """Frame rate to assume without times, frames per second."""
 

@@ -28,7 +28,7 @@ class Picture:
 
 
 def read_picture(path: Path) -> Picture:
-    """Return the image in a file or in a shard's member; a UserError names the error in it."""
+    """Return the image in a file or in a shard's member. Raises UserError if it cannot be read."""
     media_type = _MEDIA_TYPES.get(path.suffix.lower())
     if media_type is None:
         return encoded(read_image(path))
@@ -61,7 +61,7 @@ class Collection:
     splits: tuple[ShownSplit, ...]
     """At least one split; all have the same keypoint scheme."""
     picture: Callable[[Image], Picture]
-    """Function that returns the file of an image, or raises a UserError that names the error in it."""
+    """Function that returns the file of an image, or raises a UserError if it cannot be read."""
     truth: bool = True
     """Whether the vehicles in the files are ground truth; footage has none."""
     options: MetricOptions | None = None

@@ -143,7 +143,7 @@ class Documents:
         return self._splits[split].details(index)
 
     def picture(self, number: int) -> Picture:
-        """Return the file of an image; a UserError names the error in it."""
+        """Return the file of an image. Raises UserError if it cannot be read."""
         split, index = self._split_of(number)
         return self._collection.picture(self._collection.splits[split].file.images[index])
 

@@ -105,7 +105,7 @@ class VehicleViews:
         return int(self.vehicle.max(initial=-1)) + 1
 
     def take(self, rows: NDArray[np.intp]) -> Self:
-        """Return the views `rows`, each as a separate vehicle."""
+        """Return the views with the indices `rows`. Each becomes a vehicle of its own."""
         return replace(self, found=self.found[rows], sigma_px=self.sigma_px[rows], vehicle=np.arange(len(rows)))
 
 
@@ -156,10 +156,10 @@ class Bundle:
         return replace(self, shared=self.shared + shared, shape=self.shape + shape, pose=self.pose + pose)
 
     def where(self, better: Mask, other: Self, vehicle: NDArray[np.intp]) -> Self:
-        """Return these values, with those of some vehicles from `other`.
+        """Return a copy in which the values of the vehicles in `better` are replaced by those of `other`.
 
         Args:
-            better: (N,) whether to take a vehicle's body type, shape and poses from `other`.
+            better: (N,) whether a vehicle's body type, shape and poses are replaced.
             other: Values with the same shared unknowns.
             vehicle: (B,) the vehicle of each view.
         """
@@ -272,7 +272,7 @@ class BundleAdjustment:
         return Solved(bundle, self._prior, cost, here.squared, counted, parts.information, parts.pull)
 
     def with_likeliest_types(self, bundle: Bundle) -> Bundle:
-        """Return the bundle with the most likely body type of each vehicle after its shape is fitted."""
+        """Fit the shape of each body type to each vehicle, and keep the type with the lowest cost."""
         starts = self._starts(bundle.camera)
         best, least = bundle, np.full(self._views.count, np.inf)
         for kind in range(len(self._shapes.types)):

@@ -95,7 +95,7 @@ def camera_from_marks(path: Path, size: str | None, out: Path) -> Iterator[str]:
 
 
 def evidence_of(path: Path, size: str | None) -> Evidence:
-    """Return the marks of a file, as in `camera_from_marks`. Raise UserError if it is malformed."""
+    """Return the marks of a file. Raises UserError if the file is malformed."""
     return _read(path, size).evidence
 
 

@@ -53,7 +53,7 @@ def on_road(camera: Camera, pixels: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Pictured:
-    """Points of the world projected by a camera, with intermediate results."""
+    """Projections of world points, with the intermediate results that derivatives need."""
 
     camera: Array
     R: Array

@@ -102,7 +102,7 @@ def with_fitted_ground(
 
 
 def _images_of_cameras(scene: Scene) -> list[list[Image]]:
-    """Return the images of each camera, if all images carry their camera."""
+    """Group the images by their camera. Every image must contain a camera."""
     groups: dict[bytes, list[Image]] = {}
     for image in scene.file.images:
         groups.setdefault(json_bytes(scene.camera_of(image).to_dict()), []).append(image)
@@ -140,7 +140,7 @@ def _with_roads(scene: Scene, cameras: list[list[Image]], asking: dict[str, Any]
 def _fit(scene: Scene, asked: str, *, score: float, noise: float, sigma_px: float | None) -> GroundFit | None:
     """Return the road of a scene with one camera; None for "auto" if its vehicles agree with the scene's road.
 
-    Raise UserError if too few vehicles show enough keypoints.
+    Raises UserError if too few vehicles show enough keypoints.
     """
     assert scene.ground is not None
     camera = scene.camera_of(scene.file.images[0])

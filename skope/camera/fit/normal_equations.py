@@ -60,10 +60,10 @@ class Linearised:
         return cls(squared, vehicle_cost, weighted @ J, gradient, by_shape.shape[-1])
 
     def where(self, better: Mask, other: Self, vehicle: NDArray[np.intp]) -> Self:
-        """Return these normal equations, with those of some vehicles from `other`.
+        """Return a copy in which the equations of the vehicles in `better` are replaced by those of `other`.
 
         Args:
-            better: (N,) whether to take a vehicle from `other`.
+            better: (N,) whether a vehicle's equations are replaced.
             other: Normal equations of the same views.
             vehicle: (B,) the vehicle of each view.
         """

@@ -168,7 +168,7 @@ def registration(before: Pixels, after: Pixels, known: UncertainCamera, name: st
 def _near_road(old: Camera, turned: Camera, corners: FollowedCorners, within_px: float, name: str) -> float:
     """Return the distance of the road's corners near the camera, metres, which a move would shift most.
 
-    Raises UserError if most of them do not agree with the turn, or there are too few.
+    Raises UserError if there are too few corners, or most of them do not agree with the turn.
     """
     places = intersect_ground(old, corners.all_before)
     away = np.linalg.norm(places - old.position, axis=1)

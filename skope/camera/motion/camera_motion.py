@@ -21,7 +21,7 @@ from skope.schema import Image
 from skope.types import Array
 
 MOTION_KEY: Final = "camera_motion"
-"""Key in `info` of the frames: the camera shake, as `CameraMotion.to_dict` writes it."""
+"""Key in `info` of the frames: the camera shake (the result of `CameraMotion.to_dict`)."""
 MOVED_REASON: Final = "camera_moved"
 """Reason for a vehicle without a position: the camera was moved after its calibration."""
 TURN_ANGLES: Final = ("pitch", "roll", "yaw")
@@ -65,7 +65,7 @@ class CameraMotion:
 
         Args:
             camera: The camera at rest; None: the lens is unknown, and the image is moved and turned as a plane.
-            image: The frame; if its motion is unknown it counts as at rest, as in `camera_in`.
+            image: The frame. If its motion is unknown, it counts as at rest.
             pixels: (..., 2) pixels in the frame.
 
         Returns:
@@ -97,7 +97,7 @@ class CameraMotion:
         return known.of_camera(camera).widened({TURN_ANGLES: covariance_of_turns(camera, self.shake_sigmas)})
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the shake as `from_dict` reads it: pixels to 0.0001, angles to 1e-7 radians."""
+        """Return the shake as JSON values, which `from_dict` reads: pixels to 0.0001, angles to 1e-7 radians."""
         rows = [
             [number, *(round(v, 4) for v in (motion.x, motion.y)), round(motion.turn, 7)]
             + [round(motion.sigma_px, 4), round(motion.sigma_turn, 7)]
@@ -112,7 +112,10 @@ class CameraMotion:
 
     @classmethod
     def from_dict(cls, name: str, value: Mapping[str, Any]) -> "CameraMotion":
-        """Read the result of `to_dict`; `name` is the name of its file. Raise UserError if it is malformed."""
+        """Read the result of `to_dict`.
+
+        Raises UserError if the result is malformed. `name` (of the file) is used only in error messages.
+        """
         try:
             rows = np.array(value["frames"], dtype=np.float64).reshape(-1, 6)
             x, y, turn = (float(v) for v in value["sway"])
@@ -129,7 +132,10 @@ class CameraMotion:
 
 
 def motion_of_info(name: str, info: Mapping[str, Any]) -> CameraMotion | None:
-    """Read the camera shake from the `info` of frames; None for a still camera. Raise UserError if it is malformed."""
+    """Read the camera shake from the `info` of frames; None for a still camera.
+
+    Raises UserError if the entry is malformed. `name` (of the file) is used only in error messages.
+    """
     value = info.get(MOTION_KEY)
     return CameraMotion.from_dict(name, value) if isinstance(value, Mapping) else None
 

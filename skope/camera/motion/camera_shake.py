@@ -87,7 +87,10 @@ class MotionProcess:
             raise
 
     def motion(self, picture: SmallPicture) -> ImageMotion | None:
-        """Return the result of `ReferencePicture.motion` of the first image; UserError if the process has ended."""
+        """Measure the motion from the first image to another image, in the process; see `ReferencePicture.motion`.
+
+        Raises UserError if the process has ended.
+        """
         self._send(picture)
         try:
             answer: ImageMotion | Exception | None = pickle.load(self._answers)

@@ -221,7 +221,7 @@ class ReferencePicture:
         )
 
     def followed(self, picture: SmallPicture) -> FollowedCorners | None:
-        """Return the corners that move together to another image; None as in `motion`."""
+        """Return the corners that move together to another image; None if the motion cannot be measured."""
         fit = self._fit(picture)
         if fit is None or fit.sigma_px > SHIFT_LIMITS.vague_px:
             return None

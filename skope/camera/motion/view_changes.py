@@ -66,7 +66,7 @@ class ViewChange:
 
     @property
     def _followed(self) -> str:
-        """Whether the view is registered, in words that end a sentence."""
+        """Text that states whether the view is registered; the end of a sentence."""
         if self.from_first is None or self.settled_s is None:
             return "; the position of the first view in it is not reliably known"
         return (
@@ -76,10 +76,10 @@ class ViewChange:
 
 
 class ViewSamples:
-    """Takes a small image of footage every half second."""
+    """Sampler of small images of footage, one every half second."""
 
     def __init__(self, last_s: float | None = None) -> None:
-        """Begin; `last_s` is the time of the last image if a run is resumed after it."""
+        """Begin sampling. `last_s` is the time of the last sampled image of a run that is resumed."""
         self.taken: dict[int, str] = {}
         """Small images by frame number."""
         self._last_s = last_s
@@ -99,8 +99,9 @@ def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] =
     """Return the permanent changes of view between small images, which are in order of time (seconds).
 
     Args:
-        looks: Small images, as `ViewSamples` takes them, with their times.
-        stays: Whether a camera that appears turned from a time on can be accepted as turned; else it shakes.
+        looks: Times (seconds) and small images, packed by `ViewSamples`.
+        stays: Function that returns whether a change of view at a time, seconds, is permanent. If it is not, the camera
+            shakes.
     """
     out: list[ViewChange] = []
     reference: Array | None = None
@@ -141,7 +142,7 @@ def _packed(pixels: Pixels) -> str:
 
 
 def unpacked_look(packed: str) -> Pixels:
-    """Return the small grey image (H, W) that `ViewSamples` has taken."""
+    """Return the small grey image (H, W) that `ViewSamples` has packed as text."""
     small: Any = cv2.imdecode(np.frombuffer(base64.b64decode(packed), dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
     return np.asarray(small, dtype=np.uint8)
 

@@ -69,7 +69,7 @@ def _body(body: Any) -> nn.Module:
 
 
 class _InTheirOrder(nn.Module):
-    """Layers of torchvision, unchanged."""
+    """Backbone with torchvision's own layers, in bfloat16."""
 
     def __init__(self, body: nn.Module) -> None:
         super().__init__()

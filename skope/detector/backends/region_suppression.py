@@ -67,7 +67,7 @@ class _BestFirst(_ProposalLimits):
         image_shapes: Sequence[tuple[int, int]],
         num_anchors_per_level: Sequence[int],
     ) -> tuple[list[Tensor], list[Tensor]]:
-        """Select proposals, as `_Proposals` does."""
+        """Select proposals; same arguments and result as `_Proposals`."""
         counts = list(num_anchors_per_level)
         logits = objectness.reshape(len(proposals), -1)
         images = [self._chosen(*each, counts) for each in zip(proposals, logits, image_shapes, strict=True)]

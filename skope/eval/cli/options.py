@@ -16,7 +16,7 @@ _MOST_PIXELS: Final = 10_000.0
 
 
 def numbers_of(flag: str, text: str) -> list[float]:
-    """Return the finite numbers of a text like "0,1,2.5"; raise a UserError that names the flag otherwise."""
+    """Return the numbers of a text like "0,1,2.5". Raises UserError with the flag for other texts."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:

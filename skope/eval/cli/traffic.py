@@ -369,7 +369,7 @@ def _isoformat(time: datetime | None) -> str | None:
 
 
 def _only_begin(start_time: list[str], site: "SiteFile") -> datetime | None:
-    """Return the `--start-time` of one recording; a UserError if there are several, or it is not a time."""
+    """Return the `--start-time` of one recording. Raises UserError if several are given, or the text is not a time."""
     from skope.traffic.recordings import parse_start_time
 
     if len(start_time) > 1:

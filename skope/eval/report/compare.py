@@ -42,7 +42,10 @@ class Run:
 
 
 def read_run(folder: Path) -> Run:
-    """Read the output folder of `skope eval`; raise a UserError if a file is missing or has a different version."""
+    """Read the output folder of `skope eval`.
+
+    Raises UserError if a file is missing or has a different version.
+    """
     documents = {}
     for name in (METRICS_FILE, TALLIES_FILE):
         path = folder / name

@@ -50,7 +50,7 @@ def chosen_images(values: Array, blocks: Integers) -> list[Choice]:
 
 
 def _spread(candidates: list[int], blocks: Integers) -> list[int]:
-    """Return the candidates with the first one of each block before all others."""
+    """Reorder the candidates: first the first candidate of each block, then all others."""
     first = {int(blocks[i]): i for i in reversed(candidates)}
     return sorted(candidates, key=lambda i: first[int(blocks[i])] != i)
 

@@ -164,7 +164,7 @@ def _source(of: Mapping[str, Any] | None) -> str:
 
 
 def _counts(splits: Mapping[str, Any]) -> Table:
-    """Counts and average precision, a column per split."""
+    """Return the table of counts and average precision, with a column per split."""
     every = splits.values()
     rows: list[list[object]] = [[words, *(split[key] for split in every)] for key, words in COUNT_TITLES.items()]
     rows += [[words, *(number_text(split["coco"][key]) for split in every)] for key, words in PRECISION_TITLES.items()]

@@ -80,7 +80,7 @@ class Bystander:
 
     @property
     def jointed(self) -> bool:
-        """Whether the knees bend, as those of labelled bodies do."""
+        """Whether the knees bend. They bend if the body is labelled."""
         return self.look.jointed > 0.5
 
     def pose(self, travelled: float, speed: float = BYSTANDER_SHARES.riding_mps) -> Array:
@@ -141,7 +141,7 @@ _LEAST_RIDER_M: Final = {"cyclist": 1.25, "motorcyclist": 1.55}
 
 
 def draw_look(kind: str, rng: np.random.Generator, *, raining: bool = False) -> Look:
-    """Draw the appearance of a jointed body of a kind in `skope.gen.bystanders.bystander.BYSTANDER_KINDS`."""
+    """Sample the appearance of a jointed body of a kind in `skope.gen.bystanders.bystander.BYSTANDER_KINDS`."""
     look = replace(Look.drawn(rng), bag=0.0, palette=float(rng.integers(2**40)), jointed=1.0)
     shares = dict(_LOAD_SHARES[kind])
     if kind == "pedestrian" and raining:

@@ -43,7 +43,7 @@ class AnnotationSource:
     """Annotation file of another program with the folders of its images."""
 
     path: str
-    """Path for messages."""
+    """Path, used only in messages."""
     name: str
     """Name of the file, used if its images do not specify their recording."""
     document: Mapping[str, Any]
@@ -218,7 +218,7 @@ class ImageSource:
 
     row: Mapping[str, Any]
     where: str
-    """File and record, for messages."""
+    """File and record, used only in messages."""
     name: str
     """Name with forward slashes, relative to some folder."""
     path: str
@@ -285,7 +285,7 @@ class ImageImporter:
         return out
 
     def _looked_up(self, among: Files, file: AnnotationSource, name: str) -> tuple[str, str]:
-        """Return the longest end of a name that matches a file, and the file's path.
+        """Find the file for a name: return the longest matching end of the name, and the file's path.
 
         Without --images the whole name.
         """
@@ -388,7 +388,7 @@ class ImageImporter:
 def _tell_places(
     file: AnnotationSource, found: Sequence[ImageSource], places: Sequence[Place], console: Console
 ) -> None:
-    """Report the interpretation of file names, if the file does not specify it."""
+    """Report the cameras and recordings that were derived from file names, if the file does not give them."""
     guessed = [place for source, place in zip(found, places, strict=True) if not (file.ours and source.row.get("site"))]
     sites = [*dict.fromkeys(place.site for place in guessed if place.site is not None)]
     if sites:

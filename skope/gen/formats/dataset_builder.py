@@ -149,13 +149,13 @@ def licence_beside(folder: Path) -> str:
 
 
 class Remarks:
-    """Collects remarks on consecutive records."""
+    """Collector of remarks on records. Equal remarks are reported once, with their number."""
 
     def __init__(self) -> None:
         self._met: dict[tuple[str, str], tuple[int, str]] = {}
 
     def add(self, noun: str, text: str, where: str) -> None:
-        """Note that `text` applies to one more object named `noun`, at `where`."""
+        """Add a remark `text` on an object of the kind `noun` (for example "image"), in the record `where`."""
         count, first = self._met.get((noun, text), (0, where))
         self._met[noun, text] = count + 1, first
 

@@ -62,7 +62,7 @@ class Place:
 
 
 def named_split(name: str) -> str | None:
-    """Return skope's split for a name of other programs, such as `Validation` or `instances_val2017`."""
+    """Return the split that another program's name means, for example `Validation` or `instances_val2017`."""
     return SPLIT_NAMES.get(YEAR_ENDING.sub("", bare_stem(name.lower())))
 
 

@@ -153,7 +153,10 @@ class _Sites:
         self._recordings: dict[str, tuple[Path, str]] = {}
 
     def check(self, dataset: Dataset, split: str, file: AnnotationFile) -> None:
-        """Name the sites of a split; raise a UserError for a site that another dataset has in another split."""
+        """Choose the names of a split's sites in the merged dataset.
+
+        Raises UserError for a site that another dataset has in another split.
+        """
         new_names = self._named.setdefault(dataset.root, {})
         for site in dict.fromkeys(image.site for image in file.images if image.site is not None):
             uses = self._splits.setdefault(site, {})
@@ -173,11 +176,11 @@ class _Sites:
                 new_names[site] = name
 
     def close(self, dataset: Dataset) -> None:
-        """Reserve the names of a dataset's sites, after its last split."""
+        """Reserve the new names of a dataset's sites. Call this after its last split."""
         self._taken |= set(self._named[dataset.root].values())
 
     def of(self, dataset: Dataset) -> dict[str, str]:
-        """Return a dataset's sites: name in it to name in the merged dataset."""
+        """Return the new names of a dataset's sites: name in the dataset -> name in the merged dataset."""
         return self._named[dataset.root]
 
     def recording(self, dataset: Dataset, name: str) -> str:

@@ -73,7 +73,8 @@ def scene_of(archive: Archive) -> ArchiveScene:
     """Read the scene of an archive.
 
     Raises:
-        UserError: A part of the layout is missing.
+        UserError: The video, the folder of the scene, or a file of a vehicle is missing. The module's docstring shows
+            the layout.
     """
     found: dict[int, dict[str, dict[str, str]]] = {}
     names = set()

@@ -30,7 +30,7 @@ _BAND_COUNT: Final = 20
 
 @dataclass(frozen=True)
 class Spread:
-    """Ground truth of a split for the plots."""
+    """Distributions of a split's ground truth, for the plots."""
 
     distance_m: NDArray[np.float64]
     height_px: NDArray[np.float64]

@@ -95,7 +95,7 @@ def _sources(card: Card) -> list[str]:
 
 
 def made(card: Card) -> list[str]:
-    """Return how a dataset from `skope gen` was made."""
+    """Return a description of how `skope gen` made a dataset."""
     values, versions = card.get("parameters", {}), card.get("versions", {})
     if not values:
         return []
@@ -125,7 +125,7 @@ def made(card: Card) -> list[str]:
 
 
 def _asked(values: Mapping[str, Any]) -> list[str]:
-    """Return sentences on the requested light and traffic."""
+    """Return sentences on the weather, hours and traffic that the user requested."""
     sentences = [
         f"{subject} is always {' or '.join(names)}, as requested."
         for subject, names in (("The weather", values.get("weather")), ("The time of day", values.get("time_of_day")))

@@ -124,7 +124,10 @@ def licence_terms(licence: str) -> Terms | None:
 
 
 def united(licences: Sequence[str]) -> str:
-    """Return the licence of a dataset with parts under `licences`; a UserError names an incompatible pair."""
+    """Return the licence of a dataset with parts under `licences`.
+
+    Raises UserError if two licences are incompatible.
+    """
     different = list(dict.fromkeys(licences))
     parts = {licence: licence.split(LICENCE_SEPARATOR) for licence in different}
     known = {part: licence_terms(part) for part_licences in parts.values() for part in part_licences}

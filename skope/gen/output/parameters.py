@@ -53,10 +53,10 @@ class Parameters:
     renderer: str
     """Renderer; empty, like `driver`, while the recordings are made for rendering on another machine."""
     driver: str
-    """Driver of the renderer, as `choose_renderer` names it; only equal drivers give equal pixels."""
+    """Name of the renderer's driver, from `choose_renderer`. Only equal drivers give equal pixels."""
     rules: Rules
     variation: Variation = field(default_factory=Variation)
-    """Quantities drawn for each recording, and their ranges; the card lists its fields among the parameters."""
+    """Optional variation between recordings. The card lists its fields among the parameters."""
     keypoint_edition: int = keypoints.EDITION
     """Edition of the keypoint definition."""
     vehicles: Mapping[str, str] = field(default_factory=dict)
@@ -85,7 +85,7 @@ class Parameters:
         return CATEGORY_NAMES if self.variation.road_users else VEHICLE_ALONE
 
     def pixels(self) -> tuple[int, int]:
-        """Return width and height of the images; raise a UserError if `size` is not of 16 to 8192 pixels."""
+        """Return width and height of the images. Raises UserError unless both are from 16 to 8192 pixels."""
         match = re.fullmatch(r"(\d+)x(\d+)", self.size)
         if not match or not all(16 <= int(n) <= 8192 for n in match.groups()):
             raise UserError(f"--size: expected WIDTHxHEIGHT of 16 to 8192 pixels, got {self.size!r}")
@@ -134,8 +134,10 @@ class DatasetPlan:
 
     @classmethod
     def from_dict(cls, values: Any, path: Path) -> Self:
-        """Return the plan from the result of `to_dict` or a card; a UserError names the `path` and the invalid
-        field."""
+        """Return the plan from the result of `to_dict` or a card.
+
+        Raises UserError with the invalid field. `path` is used only in error messages.
+        """
         if not isinstance(values, dict):
             raise UserError(f"{path}: expected an object with parameters and takes")
         parameters = Parameters.from_dict(values.get("parameters"), f"{path}: parameters")

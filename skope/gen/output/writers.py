@@ -317,7 +317,7 @@ def _with_ids(row: bytes, id_: int, image_id: int) -> bytes:
 
 
 def frames_of_split(dataset: Dataset, split: str) -> Iterator[FrameFiles]:
-    """Yield the frames of a split of a dataset from `skope gen`; a UserError names missing data."""
+    """Yield the frames of a split of a dataset from `skope gen`. Raises UserError if data are missing."""
     manifest = read_manifest(dataset.root)
     for row, annotations in rows_of(dataset, split):
         lost = [key for key in ("site", "recording", "frame_index") if row.get(key) is None]
@@ -351,7 +351,7 @@ def _kind_of_row(row: Mapping[str, Any], categories: tuple[str, ...]) -> CountKi
 
 
 def rows_of(dataset: Dataset, split: str) -> Iterator[tuple[dict[str, Any], list[Any]]]:
-    """Yield JSON records of a split's images, each with its annotations; a UserError names an invalid image."""
+    """Yield JSON records of a split's images, each with its annotations. Raises UserError for an invalid image."""
     if dataset.sharded:
         for shard in shards.shards_of(dataset.root, split):
             for labels in shards.labels_in(shard):

@@ -60,12 +60,12 @@ def in_its_light(
 ) -> Site:
     """Return a site with the weather, hour and traffic of its recording `index`.
 
-    Recording 0 uses the site's own. Later recordings cycle through the lights in the table of the site's split in
-    `presets.toml`. Their traffic is the site's vehicles per hour times a factor from the table's range, drawn with
+    Recording 0 has those of the site. Later recordings cycle through the lights in the table of the site's split in
+    `presets.toml`. Their traffic is the site's vehicles per hour times a factor from the table's range, sampled with
     `seed`. `traffic` replaces the range of the table.
 
-    `lights` replaces the lights of the table. Each site then starts with another light, drawn with `seed`, so that few
-    recordings show all of them.
+    `lights` replaces the lights of the table. Each site then starts with another light, sampled with `seed`, so that a
+    few recordings contain all lights.
     """
     splits = preset_tables()["splits"]
     split = splits.get(base.split, splits["train"])
@@ -84,8 +84,8 @@ def in_its_light(
 def in_its_split(base: Site, index: int, seed: int, splits: Sequence[str]) -> Site:
     """Return a site in the split of its recording `index`, with the light and traffic of that split in `presets.toml`.
 
-    The recordings cycle through the splits. Each time a split returns, its next light is used; the first one is drawn
-    with `seed`.
+    The recordings cycle through the splits. Each time a split returns, its next light is used. The first light is
+    sampled with `seed`.
     """
     turn, split_index = divmod(index, len(splits))
     table = preset_tables()["conditions"][splits[split_index]]
@@ -96,10 +96,10 @@ def in_its_split(base: Site, index: int, seed: int, splits: Sequence[str]) -> Si
 
 
 def in_asked_light(planned: Site, index: int, seed: int, weathers: Sequence[str], times_of_day: Sequence[str]) -> Site:
-    """Return a site in the light of its recording `index`, with requested weathers and hours only.
+    """Return a site with the light of its recording `index`, limited to the requested weathers and hours.
 
     A weather or hour that was not requested is replaced by a requested one. The recordings cycle through the requested
-    values, with a start drawn with `seed` for each site. An empty list leaves the planned value.
+    values, starting at one that is sampled with `seed` for each site. An empty list leaves the planned value.
     """
     turn = index + _first_light(planned, seed, 0)
     weather, time_of_day = planned.weather, planned.time_of_day
@@ -122,7 +122,7 @@ def varied(planned: Site) -> Site:
 
 
 def _first_light(base: Site, seed: int, draw_index: int) -> int:
-    """Return the position in a cycle of lights at which a site starts; each `draw_index` has its own draw."""
+    """Sample the position in a cycle of lights at which a site starts. Each `draw_index` gives another sample."""
     return int(rng(seed, base.name, draw_index, Stream.ASKED_LIGHT).integers(LIGHT_TURNS))
 
 
@@ -132,7 +132,7 @@ def _with_traffic(base: Site, index: int, seed: int, traffic: Range) -> Site:
 
 
 def _under_light(base: Site, light: str) -> Site:
-    """Return a site in a light such as "clear noon"."""
+    """Return a site with a weather and hour, given as text such as "clear noon"."""
     weather, time_of_day = light.split()
     fixed = _without(base.conditions, _OF_WEATHER + _OF_HOUR)
     return replace(base, weather=weather, time_of_day=time_of_day, conditions=fixed)
@@ -150,7 +150,7 @@ HEAVY_TYPES: Final = frozenset(("bus", "truck", "box_truck", "articulated_truck"
 class DatasetRequest:
     """A requested dataset: its parameters, and the user's own site (the parameters hold only its digests).
 
-    Raises a UserError that names the flag if a parameter is out of range.
+    Raises UserError with the name of the flag if a parameter is out of range.
     """
 
     parameters: Parameters
@@ -249,7 +249,7 @@ class DatasetRequest:
             raise UserError(f"--preset {p.preset}: {user_site.path} sets the pose of its camera (try --camera-jitter)")
 
     def site(self, name: str) -> Site:
-        """Return the site with the given name; raise a UserError that lists those of the package if there is none."""
+        """Return the site with the given name. Raises UserError with a list of all names if there is none."""
         return self.user_site.site if self.user_site else site(name)
 
     def plans(self) -> list[RecordingPlan]:
@@ -349,7 +349,7 @@ def from_preset(
 
     Args:
         preset: Name of a preset in `presets()`.
-        seed: Seed of all random draws, from 0.
+        seed: Seed of all random numbers, from 0.
         renderer: "gl" or "pybullet".
         driver: Driver of the renderer, as `choose_renderer` names it.
         rules: Rules for labels and ignored road users.

@@ -78,7 +78,7 @@ class Store:
             self._write_plan(wanted)
 
     def _begun(self, wanted: DatasetPlan) -> DatasetPlan | None:
-        """Return the plan of the folder's dataset, or None; raise a UserError if `wanted` cannot be made there."""
+        """Return the plan of the folder's dataset, or None. Raises UserError if `wanted` cannot be made there."""
         begun = self.read_plan()
         if begun is not None:
             self._check_same_parameters(begun, wanted)
@@ -89,7 +89,7 @@ class Store:
     def frames_left(self, wanted: DatasetPlan) -> dict[RecordingInfo, int]:
         """Count the missing frames of each recording without writing anything.
 
-        Raises UserError if the folder cannot become `wanted`, as `begin` does.
+        Raises UserError if the folder contains other files, or a dataset with other parameters.
         """
         file = file_in_place_of(self.root)
         if file:
@@ -222,7 +222,7 @@ class Store:
         write_bytes(self._label_path(labels.name), b"\n".join([json_bytes(head), *labels.rows]))
 
     def _read_labels(self, name: str) -> Labels:
-        """Read the labels of a frame by name; raise a UserError if the file is damaged."""
+        """Read the labels of a frame by name. Raises UserError if the file is damaged."""
         path = self._label_path(name)
         first, *rows = read_bytes(path).split(b"\n")
         try:

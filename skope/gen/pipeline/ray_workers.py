@@ -25,7 +25,7 @@ MOST_LOST_WORKERS: Final = 20
 class Worker:
     """Ray actor: one process of the cluster, which keeps its current recording open.
 
-    Its libraries must have the versions `same`, since bytes would differ otherwise; raises a UserError if they do not.
+    Raises UserError if its libraries do not have the versions `same`, because the bytes of the output would differ.
     """
 
     def __init__(self, same: Mapping[str, str]) -> None:

@@ -46,7 +46,7 @@ class RenderJobSpec:
     renderer: str
     """Renderer: "gl" or "pybullet"."""
     driver: str
-    """Required driver of the renderer, as `choose_renderer` names it; bytes would differ with another driver."""
+    """Name of the required driver, from `choose_renderer`. The images would differ with another driver."""
     rules: Rules
     encoding: Encoding
 
@@ -346,7 +346,7 @@ def _start_worker(number: int, lit_sites: "SimpleQueue[str]") -> None:
 
 
 def check_workers(workers: int) -> int:
-    """Return the value of `--workers`; raise a UserError if it is below 1."""
+    """Return the value of `--workers`. Raises UserError if it is below 1."""
     if workers < 1:
         raise UserError(f"--workers: expected a whole number from 1, got {workers}")
     return workers

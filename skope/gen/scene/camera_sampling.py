@@ -1,8 +1,8 @@
-"""Draw the cameras of recordings at random, near a site's own camera or elsewhere in its town.
+"""Sample the cameras of recordings, near a site's own camera or elsewhere in its town.
 
 Near a site, height, pose and field of view vary around those of the site's camera. Elsewhere ("views"), the camera is
 on a mast beside a road or above the road, and looks at a point on the road. Its zoom is set so that vehicles there have
-a size that was drawn before. One of many candidate cameras is chosen; its probability depends on the vehicles that it
+a size that was sampled before. One of many candidate cameras is chosen; its probability depends on the vehicles that it
 will see. Views of road that a test site's camera sees are always rejected: test roads are never used for training.
 """
 
@@ -35,7 +35,7 @@ CAMERA_LIMITS: Final[Mapping[str, Range]] = {
     "yaw_by_deg": (-180.0, 180.0),
     "roll_by_deg": (-45.0, 45.0),
 }
-"""Limits of the values that a camera can be drawn from.
+"""Limits of the ranges from which a camera is sampled.
 
 Values with "by" in their name change those of the site (`zoom_by` is a factor on the focal length). The others replace
 them (the height is above the road)."""
@@ -43,10 +43,10 @@ them (the height is above the road)."""
 
 @dataclass(frozen=True)
 class CameraSampling:
-    """Settings for drawing cameras, and what they must see."""
+    """Settings for sampling cameras, and the minimum length of road that a camera must see."""
 
     tries: int = 500
-    """Maximum number of cameras that are drawn until one sees enough road."""
+    """Maximum number of cameras that are sampled until one sees enough road."""
     car_height_m: float = 1.5
     """Assumed height of a car, metres."""
     large_px: float = 24.0
@@ -56,7 +56,7 @@ class CameraSampling:
     least_road_m: float = 40.0
     """Minimum length of lanes that a camera must see, metres; or half of what the site's camera sees, if less."""
     candidates: int = 100
-    """Number of candidate cameras that are drawn for each view."""
+    """Number of candidate cameras that are sampled for each view."""
     empty_share: float = 0.06
     """Fraction of the views that are meant to show a road without vehicles."""
     enough_vehicles: float = 20.0
@@ -66,13 +66,13 @@ class CameraSampling:
     largest_vehicle: tuple[float, float] = (0.1, 0.7)
     """Default range of the height of the largest vehicle in a frame, as a fraction of the image height.
 
-    It is drawn log-uniformly. A preset can set another range (`Variation.largest_vehicle`)."""
+    It is sampled log-uniformly. A preset can set another range (`Variation.largest_vehicle`)."""
     largest_sigma: float = 0.3
-    """Standard deviation of the logarithm of that height around the drawn value."""
+    """Standard deviation of the logarithm of that height around the sampled value."""
     at_target: tuple[float, float] = (0.5, 1.0)
-    """Range of the height of a car at the camera's target, as a fraction of the drawn height of the largest vehicle."""
+    """Range of the height of a car at the camera's target, relative to the sampled height of the largest vehicle."""
     at_vehicles_share: float = 0.8
-    """Fraction of the drawn cameras that look at a vehicle; the others look at a random point on the road."""
+    """Fraction of the candidate cameras that look at a vehicle. The others look at a random point on the road."""
     mast_aside_m: tuple[float, float] = (0.8, 9.0)
     """Range of the distance from the carriageway to a mast, metres."""
     seen_px: float = 16.0
@@ -96,7 +96,7 @@ CAMERA_SAMPLING: Final = CameraSampling()
 
 @dataclass(frozen=True)
 class CameraRanges:
-    """Image settings of a camera, and the ranges that it is drawn from."""
+    """Image settings of a camera, and the ranges from which its parameters are sampled."""
 
     size: tuple[int, int]
     """Width and height of the image, pixels."""
@@ -105,7 +105,7 @@ class CameraRanges:
     distortion: Distortion | None
     """Distortion of the lens; None for no distortion, or for that of a user's own camera."""
     spans: Mapping[str, Range]
-    """Ranges that values are drawn from, keyed as `CAMERA_LIMITS`; empty for a site's own camera."""
+    """Ranges from which values are sampled, with the keys of `CAMERA_LIMITS`. Empty for a site's own camera."""
 
 
 def check_ranges(spans: Mapping[str, Range]) -> None:
@@ -117,11 +117,11 @@ def check_ranges(spans: Mapping[str, Range]) -> None:
 
 
 def sample_camera(site: Site, ranges: CameraRanges, rng: np.random.Generator) -> Camera:
-    """Draw a camera on the site's mast that sees enough road.
+    """Sample a camera on the site's mast that sees enough road.
 
     Args:
         site: The camera site.
-        ranges: Ranges of the values, which are drawn uniformly.
+        ranges: Ranges of the values, which are sampled uniformly.
         rng: Random generator.
 
     Raises:
@@ -210,7 +210,7 @@ class PlacedCamera:
 
 
 class ViewSampler:
-    """Sampler of views of a town."""
+    """Sampler of cameras at random places in a town."""
 
     def __init__(self, town: Town) -> None:
         self._layout = Layout.of(town)
@@ -243,16 +243,17 @@ class ViewSampler:
         rng: np.random.Generator,
         largest_vehicle: Range = CAMERA_SAMPLING.largest_vehicle,
     ) -> PlacedCamera:
-        """Draw a view.
+        """Sample a camera at a random place in the town, which sees road and mostly vehicles.
 
         Args:
             traffic: (F, V, 3) positions of vehicles on the road in each frame, world; NaN if absent.
-            ranges: Ranges that cameras are drawn from.
+            ranges: Ranges from which the camera's parameters are sampled.
             rng: Random generator.
-            largest_vehicle: Range of the largest vehicle's height, as `CAMERA_SAMPLING.largest_vehicle`.
+            largest_vehicle: Range from which the height of the largest vehicle is sampled, as a fraction of the image
+                height.
 
         Raises:
-            UserError: No drawn camera sees enough road without seeing that of a test site.
+            UserError: No candidate camera sees enough road without seeing road of a test site.
         """
         empty = rng.random() < CAMERA_SAMPLING.empty_share
         wanted = math.exp(rng.uniform(*np.log(largest_vehicle)))
@@ -291,11 +292,11 @@ class ViewSampler:
 
         Args:
             camera: The camera.
-            traffic: (F, V, 3) positions, as in `draw`.
+            traffic: (F, V, 3) positions of vehicles in each frame, world, metres; NaN if absent.
 
         Returns:
-            Mean number, and mean height as a fraction of the image height. Frames without visible vehicles do not count
-            for the height.
+            Mean number, and mean height as a fraction of the image height. Frames without visible vehicles are left out
+            of the mean height.
         """
         frames = traffic[:: CAMERA_SAMPLING.frame_step]
         frame, column = np.nonzero(np.isfinite(frames[..., 0]))

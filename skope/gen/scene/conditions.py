@@ -1,4 +1,4 @@
-"""Conditions of a recording (light, air and camera), the ranges that they are drawn from, and the sun's position."""
+"""Conditions of a recording (light, air and camera), the ranges from which they are sampled, and the sun's position."""
 
 import math
 import re
@@ -172,7 +172,7 @@ class Conditions:
 
     @classmethod
     def drawn(cls, ranges: Mapping[str, Range], rng: np.random.Generator) -> Self:
-        """Draw each field uniformly from its range, rounded so that the values can be written and set again exactly.
+        """Sample each field uniformly from its range, rounded so that the values can be written and set again exactly.
 
         If `ranges` has no sun, its position follows from latitude, day and hour.
         """
@@ -384,7 +384,7 @@ SETTING_PATTERN: Final = re.compile(r"(\w+)=(.+?)(?:\.\.(.+))?")
 
 
 def parse_settings(settings: list[str]) -> dict[str, Range]:
-    """Parse flags like "noise=2" or "exposure_ev=-1..1"; raise a UserError that names an invalid one."""
+    """Parse flags like "noise=2" or "exposure_ev=-1..1". Raises UserError with the first invalid flag."""
     out = {}
     for setting in settings:
         match = SETTING_PATTERN.fullmatch(setting)
@@ -398,7 +398,7 @@ def parse_settings(settings: list[str]) -> dict[str, Range]:
 
 
 def check_settings(settings: Mapping[str, Range]) -> dict[str, Range]:
-    """Return the settings if every field is known and within its limits; raise a UserError otherwise."""
+    """Return the settings if every field is known and within its limits. Otherwise raise a UserError."""
     for name, (low, high) in settings.items():
         least, most = CONDITION_LIMITS[one_of("--set", name, tuple(CONDITION_LIMITS))]
         if not (math.isfinite(low) and math.isfinite(high) and least <= low <= high <= most):

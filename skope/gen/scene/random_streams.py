@@ -1,7 +1,7 @@
-"""Named streams of random numbers, one for each quantity that is drawn for a recording.
+"""Named streams of random numbers, one for each quantity that is sampled for a recording.
 
-A draw depends only on the dataset's seed, the recording's site and index, and the drawn quantity. An additional draw
-for one quantity therefore leaves all others unchanged.
+A sample depends only on the dataset's seed, the recording's site and index, and the quantity. An additional sample of
+one quantity therefore leaves all others unchanged.
 """
 
 import zlib
@@ -12,7 +12,7 @@ import numpy as np
 
 
 class Stream(Enum):
-    """Random streams of a recording, one for each drawn quantity."""
+    """Random streams of a recording, one for each sampled quantity."""
 
     TRAFFIC = auto()
     """Warm-up time of the traffic before the recording, SUMO's seed, and the route of each vehicle."""
@@ -33,7 +33,7 @@ class Stream(Enum):
     CAMERA = auto()
     """Pose of the camera, if it is not the site's own."""
     VARIANT = auto()
-    """Scenery of a simulation's town, if it is drawn anew."""
+    """Scenery of a simulation's town, if it is sampled again."""
     DISTRACTORS = auto()
     """Number of objects around the cameras that resemble vehicles."""
     LIT_OBJECTS = auto()
@@ -106,7 +106,7 @@ def rng(seed: int, site: str, recording: int, stream: Stream, *which: int) -> np
         seed: Seed of the dataset.
         site: Name of the site.
         recording: Index of the recording at the site.
-        stream: Quantity to draw.
+        stream: Quantity to sample.
         which: Further arguments of the stream, such as the number of a vehicle.
     """
     site_key = site.encode() if stream in _IN_PICTURES else (zlib.crc32(site.encode()),)

@@ -68,7 +68,7 @@ class RecordingPlan:
     """Horizontal field of view of the site's camera, degrees; not used for a user's own camera."""
     seed: int
     variation: Variation = field(default_factory=Variation)
-    """Quantities that are drawn for this recording, and their ranges."""
+    """Optional variation between the recordings of the dataset."""
     vehicles: tuple[str, ...] = ()
     """Requested models: added by the user (`skope gen vehicles add`) or from the fleet."""
     vehicle_share: float | None = None
@@ -89,7 +89,7 @@ class RecordingPlan:
         return rng(self.seed, self.site.name, self.index, stream, *which)
 
     def shared_rng(self, stream: Stream, *which: int) -> np.random.Generator:
-        """Return the generator of a stream that all recordings with the same traffic share."""
+        """Return the generator of a stream that is the same for all recordings of one simulated traffic."""
         return rng(self.seed, self.site.name, self.leader, stream, *which)
 
     def shape_rng(self, name: str, model: str) -> np.random.Generator:
@@ -193,15 +193,15 @@ class Recording:
     vehicle: NDArray[np.int32]
     """(R,) index into `vehicles` for each row."""
     T_world_chassis: Array
-    """(R, 4, 4) pose of the vehicle frame, as in `Moment`."""
+    """(R, 4, 4) pose of the vehicle frame in the world."""
     T_world_wheels: Array
-    """(R, 4, 4, 4) poses of wheels or moving parts, as in `Moment`."""
+    """(R, 4, 4, 4) poses of the wheels, or of a bystander's moving parts, in the order of `Moment`."""
     velocity: Array
     """(R, 3) velocity in the world, m/s."""
     lamps: NDArray[np.uint8]
     """(R,) lit lamps, as bits of `skope.gen.scene.recording.LAMP_BITS`."""
     T_world_trailer: Array | None = None
-    """(R, 3, 4, 4) poses of a trailer and its wheels, as in `Moment`; None if no vehicle has a trailer."""
+    """(R, 3, 4, 4) poses of a trailer and its wheels, in the order of `Moment`. None if no vehicle has a trailer."""
     photograph: NDArray[np.uint8] | None = None
     """(H, W, 3) RGB photograph of the empty road from the camera, used instead of scenery.
 
@@ -331,7 +331,7 @@ def sound(path: Path) -> bool:
 
 
 def load(path: Path) -> Recording:
-    """Read a recording; raise a UserError if the file is damaged or of another version."""
+    """Read a recording. Raises UserError if the file is damaged or has another version."""
     return unpacked_recording(read_bytes(path), path)
 
 
@@ -340,7 +340,7 @@ def unpacked_recording(data: bytes, path: Path) -> Recording:
 
     Args:
         data: The bytes that `packed_recording` returned.
-        path: Path that error messages name.
+        path: Path of the file, used only in error messages.
 
     Raises:
         UserError: The bytes are damaged, have another version, or name a town that is not in the package.

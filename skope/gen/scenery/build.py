@@ -47,7 +47,7 @@ STUDIO_TOWN: Final = Town("studio")
 
 @dataclass(frozen=True)
 class StudioSizes:
-    """Size of the studio and clearances on roads."""
+    """Size of the studio (an empty place for views of single vehicles), and clearances on roads."""
 
     radius_m: float = 200.0
     """Radius of the studio, metres."""

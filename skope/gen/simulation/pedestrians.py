@@ -32,7 +32,7 @@ class SidewalkCrowds:
     elbow_room_m: float = 0.4
     """Minimum distance from a pedestrian's middle to the side of a parked vehicle, metres."""
     groups_per_100_m: tuple[float, float] = (0.8, 12.0)
-    """Range of the mean number of groups of labelled pedestrians per 100 m of sidewalk, drawn for each recording."""
+    """Range of the mean number of groups of labelled pedestrians per 100 m of sidewalk, sampled for each recording."""
     group_shares: tuple[float, float, float, float] = (0.62, 0.24, 0.09, 0.05)
     """Fractions of the groups that have one, two, three and four people."""
     running_share: float = 0.04
@@ -135,7 +135,10 @@ class Walkers:
     """Pedestrians who walk back and forth on sidewalks; their positions depend on the time only."""
 
     def __init__(self, paths: Sequence[Array], rng: np.random.Generator, parked: Sequence[Polygon] = ()) -> None:
-        """Draw pedestrians; `paths` are centre lines (N, 3) of sidewalks, `parked` footprints of vehicles, metres."""
+        """Sample pedestrians.
+
+        `paths` are centre lines (N, 3) of sidewalks, and `parked` footprints of vehicles, metres.
+        """
         self._walks: list[_Walk] = []
         standing = unary_union([footprint.buffer(SIDEWALK_CROWDS.elbow_room_m) for footprint in parked])
         for path in paths:
@@ -160,7 +163,7 @@ class Walkers:
     def labelled(
         cls, paths: Sequence[Array], rng: np.random.Generator, parked: Sequence[Polygon] = (), *, raining: bool = False
     ) -> "Walkers":
-        """Draw labelled pedestrians: few or many, alone and in groups that walk or stand together.
+        """Sample labelled pedestrians: few or many, alone and in groups that walk or stand together.
 
         Args:
             paths: Centre lines of sidewalks, (N, 3) each, world, metres.
@@ -186,7 +189,7 @@ class Walkers:
 
 
 def _group(path: Array, length: float, rng: np.random.Generator, raining: bool) -> list[_Walk]:
-    """Draw one or more people who walk side by side, or stand together and face each other."""
+    """Sample one or more people who walk side by side, or stand together and face each other."""
     count = 1 + int(rng.choice(len(SIDEWALK_CROWDS.group_shares), p=SIDEWALK_CROWDS.group_shares))
     start, aside = float(rng.uniform(0, length)), float(rng.normal(0, SIDEWALK_CROWDS.offset_sigma_m))
     stands, way = rng.random() < SIDEWALK_CROWDS.standing_share, float(rng.choice([-1, 1]))

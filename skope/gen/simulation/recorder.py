@@ -92,7 +92,7 @@ def parked_vehicles(
     *,
     most: int = RECORDING_REACH.most_parked,
 ) -> list[Parked]:
-    """Draw parked vehicles of models that fit for some of the bays, forwards or backwards.
+    """Sample parked vehicles for some of the bays, of models that fit, forwards or backwards.
 
     Args:
         town: Town, which gives the height of the ground.
@@ -246,7 +246,7 @@ class Recorder:
         return self._vehicles[name]
 
     def _paint(self, name: str, vehicle: Vehicle, color: str) -> str:
-        """Return a vehicle's own paint, or one drawn for this camera if several cameras share the traffic."""
+        """Return a vehicle's paint. If several cameras share the traffic, it is sampled for this camera."""
         if not self._plan.variation.views:
             return color
         if name not in self._paints:

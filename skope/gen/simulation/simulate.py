@@ -215,7 +215,7 @@ def _camera_ranges(plan: RecordingPlan, conditions: Conditions) -> CameraRanges:
 
 
 def _variant(plan: RecordingPlan, masts: tuple[Mast, ...]) -> Variant:
-    """Return the variant of a plan's town; plans that share their traffic share the draws."""
+    """Return the variant of a plan's town. It is the same for all plans that share their traffic."""
 
     def seed(stream: Stream) -> int:
         return int(plan.shared_rng(stream).integers(1, 2**31))

@@ -283,7 +283,7 @@ def _bay_rows(lot: Polygon) -> Iterator[Bay]:
 
 
 def kerb_bays(layout: Layout, keep_clear: Any, rng: np.random.Generator) -> list[Bay]:
-    """Draw bays along the kerbs of some streets, on the sidewalk's side and in the direction of the traffic.
+    """Sample parking bays along the kerbs of some streets, on the sidewalk's side and in the direction of the traffic.
 
     Args:
         layout: Layout of the town; the bays are in its coordinates.

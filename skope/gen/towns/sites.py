@@ -16,7 +16,7 @@ from skope.gen.towns.town import Mast, OwnRoad, Town, town_folder
 
 @dataclass(frozen=True, kw_only=True)
 class Site:
-    """A roadside camera with the traffic, weather and hour of its recordings."""
+    """Place in a town with a roadside camera, and the default traffic, weather and hour of its recordings."""
 
     name: str
     town: Town
@@ -83,7 +83,7 @@ def sites() -> Mapping[str, Site]:
 
 
 def site(name: str) -> Site:
-    """Return the site with the given name; raise a UserError that lists all names if there is none."""
+    """Return the site with the given name. Raises UserError with a list of all names if there is none."""
     if name not in sites():
         raise UserError(f"site: {name!r} is not one of {', '.join(sites())}")
     return sites()[name]

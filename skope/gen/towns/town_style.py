@@ -29,7 +29,9 @@ class Season:
 
 @dataclass(frozen=True, kw_only=True)
 class _SeasonKind:
-    """Ranges of hue (degrees), saturation and value (0..1) in sRGB from which a kind of season is drawn."""
+    """Ranges of hue (degrees), saturation and value (0..1) in sRGB from which the colours of a kind of season are
+    sampled.
+    """
 
     share: float
     grass: tuple[Range, Range, Range]
@@ -89,7 +91,7 @@ _SPREAD_DEG: Final = 6.0
 
 
 def drawn_season(rng: np.random.Generator) -> Season:
-    """Draw a season: its kind by share, its colours and the fraction of bare trees uniformly from the kind's ranges."""
+    """Sample a season: its kind by share, its colours and fraction of bare trees uniformly from the kind's ranges."""
     shares = np.array([kind.share for kind in _SEASON_KINDS])
     kind = _SEASON_KINDS[int(rng.choice(len(_SEASON_KINDS), p=shares / shares.sum()))]
     drawn = {name: [rng.uniform(*span) for span in getattr(kind, name)] for name in ("grass", "leaves")}
@@ -140,7 +142,7 @@ class Terrain:
 
 @dataclass(frozen=True, kw_only=True)
 class BuildingKind:
-    """A kind of building; values are drawn uniformly from ranges and randomly from lists. Lengths in metres."""
+    """A kind of building; values are sampled uniformly from ranges and lists. Lengths in metres."""
 
     form: Literal["house", "tower", "hall", "barn", "silo"] = "house"
     length: Range
@@ -290,7 +292,7 @@ def style(town: Town) -> TownStyle:
 
 
 def varied_style(base: TownStyle, all_styles: Sequence[TownStyle], rng: np.random.Generator) -> TownStyle:
-    """Draw the style of another place of the same kind: roadside objects are drawn anew, the roads stay the same.
+    """Sample the style of another place of the same kind: new roadside objects along the same roads.
 
     Args:
         base: Style of the town.
@@ -299,7 +301,10 @@ def varied_style(base: TownStyle, all_styles: Sequence[TownStyle], rng: np.rando
     """
 
     def from_any_town(name: str) -> Any:
-        """Draw a town's value. If the base style's value is empty, return that: its roads have no room for objects."""
+        """Sample a value of a town's style.
+
+        If the base style's value is empty, return that: its roads have no room for objects.
+        """
         values = [getattr(town_style, name) for town_style in all_styles if getattr(town_style, name)]
         return getattr(base, name) and values[int(rng.integers(len(values)))]
 
@@ -378,6 +383,6 @@ def _fixed(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def drawn_name(shares: Mapping[str, float], rng: np.random.Generator) -> str:
-    """Draw a name with a probability proportional to its share."""
+    """Sample a name with a probability proportional to its share."""
     names, weights = list(shares), np.array(list(shares.values()))
     return names[rng.choice(len(names), p=weights / weights.sum())]

@@ -68,7 +68,7 @@ class Riding:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> "Riding":
-        """Draw the riders of a traffic with labelled riders: from a few to a third of all road users."""
+        """Sample the share of riders in traffic with labelled riders: from a few to a third of all road users."""
         return cls(
             {kind: float(np.exp(rng.uniform(np.log(0.03), np.log(0.25)))) for kind in RIDER_CLASSES}, narrow=True
         )
@@ -120,7 +120,7 @@ def trips(
     passing: frozenset[str] = frozenset(),
     riders: Riding = USUAL_RIDERS,
 ) -> Iterator[Trip]:
-    """Draw Poisson arrivals on all entries for `duration` seconds, each with a random exit that is not a U-turn.
+    """Sample Poisson arrivals on all entries for `duration` seconds, each with a random exit that is not a U-turn.
 
     Args:
         network: SUMO network file.
@@ -159,7 +159,7 @@ def driver_shares() -> dict[str, float]:
 
 
 def draw_name(shares: Mapping[str, float], rng: np.random.Generator) -> str:
-    """Draw a name with the given shares."""
+    """Sample a name with the given shares."""
     p = np.array(list(shares.values()))
     return list(shares)[rng.choice(len(p), p=p / p.sum())]
 

@@ -67,7 +67,7 @@ class _Flow:
     random: bool = False
 
     def departures(self, start: float, stop: float, rng: np.random.Generator) -> list[float]:
-        """Draw the departure times within a time window, seconds."""
+        """Sample the departure times within a time window, seconds."""
         low, high = max(start, self.begin), min(stop, self.end)
         if self.period == math.inf:
             return [self.begin] if start <= self.begin < stop else []
@@ -84,8 +84,9 @@ def scheduled(
 ) -> Iterator[Trip]:
     """Yield the trips in a random window of `duration` seconds of a route file, with times from its start.
 
-    The model of each vehicle is drawn with the fleet's shares from those of its class. Raises UserError as `streams`
-    does.
+    The model of each vehicle is sampled among those of its class, by the shares of the fleet.
+
+    Raises UserError if the text is not a valid route file for the network.
     """
     flows = streams(text, network)
     first, last = min(flow.begin for flow in flows), max(max(flow.begin, flow.end) for flow in flows)
@@ -109,7 +110,7 @@ def _model(vehicle_class: str, models: Mapping[str, FleetEntry], rng: np.random.
 
 @cache
 def streams(text: str, network: Path) -> tuple[_Flow, ...]:
-    """Read the flows of a route file; raise a UserError that names the invalid element, but not the file."""
+    """Read the flows of a route file. Raises UserError with the invalid element, but without the name of the file."""
     if "<!DOCTYPE" in text:
         raise UserError("contains a DOCTYPE, which is not supported in route files; remove it")
     try:

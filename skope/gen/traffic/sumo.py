@@ -218,27 +218,27 @@ class Traffic:
         watched: Callable[[float, float], bool] = lambda x, y: True,
         riders: Riding = USUAL_RIDERS,
     ) -> None:
-        """Draw the traffic; SUMO starts when the context is entered.
+        """Sample the trips. SUMO starts when the context is entered.
 
         Args:
             network: Compiled SUMO network.
             fleet: Models in the traffic, by name.
             vehicles_per_hour: Total arrival rate on all entries of the network.
-            duration: Time for which trips are drawn, seconds.
+            duration: Time for which trips are sampled, seconds.
             rng: Random generator for trips, models, drivers and SUMO's seed.
             flows: Text of a SUMO route file, used instead of `vehicles_per_hour`.
             passing: Edges; if given, `vehicles_per_hour` counts only trips over at least one of them.
             step: Length of a step, seconds.
             watched: Function that returns whether a position (world x, y in metres) is watched. A vehicle is reported
                 once it has entered a watched position. Default: everywhere.
-            riders: Number of riders per vehicle in drawn traffic, and their riding style.
+            riders: Number of riders per vehicle in sampled traffic, and their riding style.
 
         Raises:
             UserError: `flows` does not fit the network.
         """
         self._network, self._fleet, self._step, self._watched = network, fleet, step, watched
         self._riders = riders
-        # SUMO's seed is drawn before the trips, so that a longer recording, with more trips, begins like a shorter one.
+        # SUMO's seed is sampled before the trips, so a longer recording (with more trips) begins like a shorter one.
         self._seed = int(rng.integers(1, 2**30))
         planned = (
             scheduled(flows, network, fleet, duration=duration, rng=rng)

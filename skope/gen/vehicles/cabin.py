@@ -205,7 +205,10 @@ _ROOF_SIGNS: Final = ("sign", "sign_taxi_red", "sign_taxi_green")
 
 
 class Greenhouse:
-    """Left half of a greenhouse. `points` are its keypoints by stem, `parts` the parts that project from it."""
+    """Left half of a greenhouse (windows, pillars and roof).
+
+    `points` are its keypoints by name without side, and `parts` the parts that project from it.
+    """
 
     def __init__(self, shape: Shape, style: VehicleStyle, deck: Callable[[Array, Array], Array]) -> None:
         """Build the greenhouse.
@@ -238,7 +241,7 @@ class Greenhouse:
         return np.asarray(middle + np.sign(chosen) * np.maximum(np.abs(chosen) - inset, 0))
 
     def _plan(self, t: float) -> Plan:
-        """Return the section at a share of the pillars' height."""
+        """Return the horizontal section at a height, which is a share of the pillars' height."""
         s = self.shape
         half = s.width / 2 - 0.03 - s.shoulder_inset
         bow = 0.15 if s.width < 1.95 else 0.12

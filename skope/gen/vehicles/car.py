@@ -129,7 +129,7 @@ class CarBody:
     # -------------------------------------------------------------------------------------------------------- shell
 
     def shoulder(self, x: Array) -> Array:
-        """Return the height of the shoulder: hood, belt and deck in one line."""
+        """Return the height of the body's upper edge in side view: hood, window line and rear deck, metres."""
         s = self.shape
         knots = [self.end + 0.1, s.backlight_x - 0.05, s.backlight_x + 0.3, s.cowl_x - 0.35, s.cowl_x, s.length / 2]
         belt = s.belt_height + 0.02
@@ -145,7 +145,7 @@ class CarBody:
         return np.asarray(line + 0.16 * (s.cowl_height - s.hood_height) * np.sin(np.pi * before))
 
     def deck(self, x: Array, y: Array) -> Array:
-        """Return the height of hood, belt and deck at positions x, y."""
+        """Return the height of the body's upper surface below the windows, at positions x and y, metres."""
         edge = self._deck_edge
         half, z = (np.interp(-x, -edge[:, 0], edge[:, k]) for k in (1, 2))
         return np.asarray(z + self._deck_rise(x, half, np.clip(y / np.maximum(half, 1e-9), 0, 1)))
@@ -263,7 +263,7 @@ class CarBody:
         return rows
 
     def w_of(self, x: float) -> float:
-        """Return W (metres along the shell) of a position on the side."""
+        """Return the distance along the shell's outline of a position x on the side, metres."""
         return float(np.interp(-x, -self.outline[SIDE_START:-SIDE_START, 0], self.w[SIDE_START:-SIDE_START]))
 
     def side_y(self, x: float) -> float:

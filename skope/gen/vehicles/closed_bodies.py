@@ -87,7 +87,7 @@ def curtain_body(space: CargoSpace) -> Cargo:
 
 
 def _box_shell(space: CargoSpace, material: str) -> tuple[Surface, float]:
-    """Return the box and W of the middle of its rear.
+    """Return the box, and the distance along its outline to the middle of its rear, metres.
 
     The box has rails along its upper and lower edges, and marker lamps on these.
     """

@@ -31,7 +31,7 @@ from skope.gen.vehicles.wheels import steel_wheel
 from skope.types import Array
 
 _BUMPER_LIP: Final = 0.07
-"""Share of the wall's height at which front and rear turn under, as for `BusBody`."""
+"""Share of the wall's height below which the front and rear bend inwards."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class LaidOutBus(BusBody):
 
     @property
     def _waist(self) -> float:
-        """Height of the rear's edge, where the engine's flap ends."""
+        """Height of the upper edge of the engine's flap at the rear, metres."""
         return min(self.shape.belt_height, 1.3)
 
     def _draw_front(self, shell: Surface, w: Array) -> list[Mesh]:

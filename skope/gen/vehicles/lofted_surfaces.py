@@ -57,7 +57,10 @@ class Plan:
     rear_taper: float = 0.0
 
     def outline(self, stations: Array) -> Array:
-        """Return x, y (columns, 2); `stations` are shares of the side from front to rear."""
+        """Return the outline (columns, 2), x and y.
+
+        `stations` are positions on the side, from 0 (front) to 1 (rear).
+        """
         front, rear = self._end_outline(1.0), self._end_outline(-1.0)[::-1]
         x = front[-1, 0] + (rear[0, 0] - front[-1, 0]) * stations[1:-1]
         return np.concatenate([front, np.stack([x, self._side_half_width(x)], axis=-1), rear])

@@ -40,7 +40,7 @@ def wheel_plane(wheels: Array) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Sidecar:
-    """Keypoints of a vehicle relative to its wheels.
+    """Positions of a vehicle's keypoints relative to its wheel centres, the input of trilateration.
 
     The values are unrounded float64: near the wheel plane, 0.1 mm of rounding becomes millimetres.
     """

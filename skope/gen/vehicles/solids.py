@@ -33,7 +33,7 @@ ROOF_CORNER_ROW = SOLID_SIZES.roof_edge_rows[0][0]
 
 @dataclass(frozen=True)
 class Tower:
-    """Upright shell from `low` to `high`, metres."""
+    """Shell of a bus, cab or box body: walls between the heights `low` and `high` (metres), and a roof."""
 
     plan: Plan
     low: float
@@ -114,7 +114,12 @@ def _shrunk_plan(plan: Plan, inset: float) -> Plan:
 
 
 def corner_w(w: Array, rear: bool = False) -> float:
-    """Return W at the middle of the front or rear corner."""
+    """Return the distance along a shell's outline to the middle of its front or rear corner, metres.
+
+    Args:
+        w: (columns,) distance of each column along the outline, metres.
+        rear: Whether to use the rear corner.
+    """
     middle = SIDE_START - 2
     return float(w[len(w) - 1 - middle] if rear else w[middle])
 

@@ -38,7 +38,7 @@ _FACE_KINDS: Final = ("", "slots", "mask", "shield", "ladder")
 
 
 def draw_face(cab: Surface, kind: str, extent: tuple[float, float, float], s: Shape) -> None:
-    """Draw a face on a cab.
+    """Draw the grille and trim on the front of a cab.
 
     Args:
         cab: The cab's shell.

@@ -185,7 +185,7 @@ def load_model(name: str) -> AddedVehicle:
 
 
 def check_mass(field: str, kilograms: Any) -> float:
-    """Return a mass, or raise a UserError that names the field."""
+    """Check a mass, kilograms, and return it. Raises UserError if it is not plausible."""
     low, high = USER_MODELS.masses_kg
     if not is_number(kilograms) or not low <= kilograms <= high:
         raise UserError(f"{field}: expected kilograms from {low:g} to {high:g}, got {kilograms!r:.60}")

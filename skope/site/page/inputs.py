@@ -149,7 +149,7 @@ def read_file(sent: Mapping[str, Any], folder: Path, size: tuple[int, int]) -> d
 
 
 def loaded(path: Path, size: tuple[int, int]) -> dict[str, Any]:
-    """Return parts of the document from a file of points or a camera. Raises UserError as `read_file` does."""
+    """Return parts of the document from a file of points or a camera. Raises UserError if the file is invalid."""
     if path.suffix.lower() in POINT_FILES:
         file = read_points(path)
         # Coordinates from a local origin have more digits than the file: tenths of millimetres are kept.

@@ -34,7 +34,7 @@ SIGMA_FIELDS: Final = ("sigma_m", "sigma_px", "sigma_z_m")
 
 
 def entries_of(document: Mapping[str, Any], kind: str) -> list[Mapping[str, Any]]:
-    """Return a list of the document; raise UserError if it is not a list of objects."""
+    """Return a list of the document. Raises UserError if it is not a list of objects."""
     value = document.get(kind, [])
     if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value) or len(value) > _MAX_ENTRIES:
         raise UserError(f"{kind}: expected a list of up to {_MAX_ENTRIES} objects")

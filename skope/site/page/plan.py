@@ -174,7 +174,7 @@ class PlanPictures:
         self._files: dict[str, str] = {}
 
     def hold(self, data: bytes) -> str:
-        """Store an image's bytes; return its name. Raise UserError if browsers cannot show it."""
+        """Store an image's bytes and return its name. Raises UserError if browsers cannot show the image."""
         kind = next((media for begin, _, media in IMAGE_KINDS if data.startswith(begin)), None)
         if kind is None or (kind == "image/webp" and data[8:12] != b"WEBP"):
             expected = (

@@ -42,7 +42,7 @@ class SavedElsewhereError(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class Opened:
-    """Site file in the form of the page."""
+    """Site file, converted to the document of the page."""
 
     document: dict[str, Any]
     revision: str | None
@@ -54,13 +54,13 @@ class Opened:
 
 
 class SiteStore:
-    """Site file that may be missing."""
+    """Reader and writer of a site file, which may not exist yet."""
 
     def __init__(self, path: Path, size: tuple[int, int]) -> None:
         self.path, self.size = path, size
 
     def read(self) -> Opened:
-        """Return the file as a document; an empty one without a file. Raises UserError as `read_site` does."""
+        """Return the file as a document, which is empty without a file. Raises UserError if the file is invalid."""
         if not self.path.exists():
             return Opened(document=document_of(None, self.size), revision=None)
         site = read_site(self.path)

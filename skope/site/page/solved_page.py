@@ -105,13 +105,16 @@ def implausible(camera: Camera) -> str:
 
 
 def below_road(evidence: Evidence, camera: Camera) -> bool:
-    """Return whether a camera is below all its points, as with a mirrored plan."""
+    """Return whether a camera is below all its points. This happens if the coordinates are mirrored."""
     heights = [point.place[2] for point in evidence.points]
     return bool(heights) and float(camera.position[2]) < min(heights)
 
 
 def error_map(known: UncertainCamera) -> dict[str, Any]:
-    """Return square cells of `cell` pixels, row by row from the top, with errors in metres; None: no road there."""
+    """Return the position errors over the image: square cells of `cell` pixels, row by row from the top.
+
+    Errors are in metres; None for a cell without road.
+    """
     camera = known.camera
     cell = max(4, -(-camera.width // SOLVED_PAGE.cells))
     columns, rows = -(-camera.width // cell), -(-camera.height // cell)
@@ -133,7 +136,7 @@ RESIDUAL_UNITS: Final = {"points": "px", "lengths": "m", "parallels": "deg", "ve
 
 @dataclass(frozen=True, eq=False)
 class SolvedCamera:
-    """Camera of a document."""
+    """Camera that was solved from the marks of a document, or given in it."""
 
     camera: Camera | None
     known: UncertainCamera | None
@@ -249,7 +252,7 @@ class GivenCamera:
 
 
 def given_camera(document: Mapping[str, Any], size: tuple[int, int]) -> GivenCamera | None:
-    """Return the camera that came with a document, at the footage's size; raise UserError if it is invalid."""
+    """Return the camera that a document contains, at the footage's size. Raises UserError if it is invalid."""
     value = document.get("camera")
     if value is None:
         return None
@@ -346,7 +349,7 @@ def _expected(camera: Camera, position: Array) -> list[float] | None:
 
 
 def _toward(drawings: list[Drawing]) -> Array | None:
-    """Return the direction of the first lane, along which boxes are drawn."""
+    """Return the direction of the first lane. The example cars on the page are parallel to it."""
     lane = next((drawing for drawing in drawings if drawing.kind == "lanes"), None)
     return None if lane is None else lane.positions[-1] - lane.positions[0]
 

@@ -39,7 +39,7 @@ LOCAL_SYSTEM: Final = 'LOCAL_CS["metres of the site",UNIT["metre",1]]'
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OtView:
-    """Image with a mapping from road positions to pixels."""
+    """Image for OTAnalytics, with a mapping from road positions to its pixels."""
 
     name: str
     """Stem of the file names."""

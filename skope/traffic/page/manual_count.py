@@ -52,7 +52,8 @@ def manual_count_data(report: TrafficReport, camera: Camera | None) -> dict[str,
 
     Args:
         report: The report.
-        camera: The camera of the footage; None: not known, and no gate of a report in metres is drawn over the video.
+        camera: The camera of the footage; None if it is not known. Gates of a report in metres are then not drawn over
+            the video.
     """
     sides = [(gate.name, name) for gate in report.gates for name in direction_names(gate)]
     turning = report.site.traffic.turning
@@ -90,7 +91,7 @@ def _kinds(report: TrafficReport) -> list[list[str]]:
 
 
 def _recordings(report: TrafficReport) -> list[dict[str, Any]]:
-    """Return name, own second 0 and end of each recording, seconds of the report."""
+    """Return the name, begin and end of each recording; times are seconds of the report."""
     parts = report.observation.parts or (report.observation,)
     begins = [recording.begin_s for recording in report.recordings] or [0.0]
     names = [recording.source for recording in report.recordings] or [report.observation.source]

@@ -358,7 +358,7 @@ def sun_map_size(camera: Camera) -> int:
 
 @dataclass(frozen=True)
 class _Eye:
-    """Camera as a cache key: equal to other cameras with the same view."""
+    """Camera that serves as a cache key. Cameras with the same view are equal."""
 
     camera: Camera = field(compare=False)
     key: tuple[int, int, bytes, bytes]
