@@ -143,7 +143,7 @@ def stops_after(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     """A context in which predicting is interrupted as if by Ctrl-C after so many images."""
     from skope.detector.predictor import Predictor
 
-    each = Predictor.each
+    each = Predictor.each_ahead
 
     @contextlib.contextmanager
     def context(count: int) -> Any:
@@ -154,7 +154,7 @@ def stops_after(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
                 yield pair
 
         with monkeypatch.context() as patch:
-            patch.setattr(Predictor, "each", stops)
+            patch.setattr(Predictor, "each_ahead", stops)
             yield
 
     return context

@@ -269,11 +269,9 @@ class Predictor:
             yield from self._found(batch)
 
     def each_ahead(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
-        """Yield the results of each image in order. Batches are prepared (on a GPU: processed) in advance."""
-        if self._device.type != "cuda":
-            return self.each(read_ahead(images, 2 * self.batch_size))
-        pinned = ((image, _pinned(pixels)) for image, pixels in images)
-        return read_ahead(self.each(read_ahead(pinned, 2 * self.batch_size)), self.batch_size)
+        """Yield the same results if images can wait: threads prepare and process batches in advance."""
+        prepared = ((image, _pinned(pixels)) for image, pixels in images) if self._device.type == "cuda" else images
+        return read_ahead(self.each(read_ahead(prepared, 2 * self.batch_size)), self.batch_size)
 
     def detections(self, images: Sequence[Pixels]) -> list[Detections]:
         """Detect vehicles and other road users in several images, (H, W, 3) uint8 sRGB each."""

@@ -12,6 +12,7 @@ between two key frames that both show it at about the same position.
 """
 
 import itertools
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
@@ -63,7 +64,7 @@ _NO_POINTS: Final = np.zeros((0, 2), dtype=np.float32)
 
 def with_frames_between(
     frames: Iterator[ImageWithPixels],
-    find: Callable[[ImageWithPixels], list[AnyResult]],
+    find: Callable[[Iterator[ImageWithPixels]], Iterator[tuple[Image, list[AnyResult]]]],
     every: int,
     known: Sequence[int] = (),
 ) -> Iterator[tuple[Image, list[AnyResult], bool]]:
@@ -71,41 +72,63 @@ def with_frames_between(
 
     Args:
         frames: Consecutive frames. The first is a key frame.
-        find: Finds the road users of a key frame.
+        find: Finds the road users of the key frames, in order. It may take a few key frames ahead.
         every: Number of frames from one key frame to the next.
         known: The `track_id` of each road user of the first frame, if it was processed before.
 
     Yields:
         Each image with its road users, and whether it is a key frame. Those of other frames are `interpolated`.
     """
-    since: list[ImageWithPixels] = []
+    taken: deque[_Frame] = deque()
+    since: list[_Frame] = []
     vehicles: list[AnyResult] = []
     names = itertools.count(1)
-    for frame in frames:
-        since.append(frame)
-        if len(since) == 1:
-            vehicles = find(frame)
-            if len(known) != len(vehicles):
-                known = [next(names) for _ in vehicles]
+    for image, found in find(_key_frames(frames, every, taken)):
+        first, since = not since, since[-1:]
+        while not since or since[-1].image.id != image.id:
+            since.append(taken.popleft())
+        if first:
+            if len(known) != len(found):
+                known = [next(names) for _ in found]
             names = itertools.count(max([0, *known]) + 1)
-            vehicles = [replace(vehicle, track_id=name) for vehicle, name in zip(vehicles, known, strict=True)]
-            yield frame[0], vehicles, True
-        elif len(since) > every:
-            between, vehicles = _between(since, vehicles, find(frame), names)
+            vehicles = [replace(vehicle, track_id=name) for vehicle, name in zip(found, known, strict=True)]
+        else:
+            between, vehicles = _between(since, vehicles, found, names)
             yield from between
-            yield frame[0], vehicles, True
-            since = [frame]
-    if len(since) > 1:
-        between, vehicles = _between(since, vehicles, find(since[-1]), names)
-        yield from between
-        yield since[-1][0], vehicles, True
+        yield image, vehicles, True
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """Frame in which points are tracked."""
+
+    image: Image
+    grey: Pixels
+    """(H, W) uint8."""
+
+    @classmethod
+    def of(cls, frame: ImageWithPixels) -> "_Frame":
+        image, pixels = frame
+        return cls(image, np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), dtype=np.uint8))
+
+
+def _key_frames(frames: Iterator[ImageWithPixels], every: int, taken: deque[_Frame]) -> Iterator[ImageWithPixels]:
+    """Yield each `every`-th frame and the last; add all frames to `taken`."""
+    waiting: ImageWithPixels | None = None
+    for number, frame in enumerate(frames):
+        taken.append(_Frame.of(frame))
+        waiting = None if number % every == 0 else frame
+        if waiting is None:
+            yield frame
+    if waiting is not None:
+        yield waiting
 
 
 def _between(
-    frames: Sequence[ImageWithPixels], first: Sequence[AnyResult], last: Sequence[AnyResult], names: Iterator[int]
+    frames: Sequence[_Frame], first: Sequence[AnyResult], last: Sequence[AnyResult], names: Iterator[int]
 ) -> tuple[list[tuple[Image, list[AnyResult], bool]], list[AnyResult]]:
     """Return the frames between two key frames, the ends of `frames`, with vehicles; and the vehicles of the last."""
-    grey = [np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), dtype=np.uint8) for _, pixels in frames]
+    grey = [frame.grey for frame in frames]
     ahead, back = _followed(grey, first), _followed(grey[::-1], last)
     pairs = _same(first, ahead, last)
     gone = sorted(set(range(len(first))) - {i for i, _ in pairs})
@@ -117,14 +140,14 @@ def _between(
         *((back[j][::-1], last[j], last[j]) for j in range(len(last)) if j not in before),
     ]
     out = []
-    for k, (image, _) in enumerate(frames[1:-1], start=1):
+    for k, frame in enumerate(frames[1:-1], start=1):
         share = k / (len(frames) - 1)
         shown = [
-            position.result(image, end, (1 - share) * start.score + share * end.score)
+            position.result(frame.image, end, (1 - share) * start.score + share * end.score)
             for way, start, end in ways
             if (position := way[k]) is not None
         ]
-        out.append((image, [result for result in shown if result is not None], False))
+        out.append((frame.image, [result for result in shown if result is not None], False))
     return out, last
 
 

@@ -349,12 +349,10 @@ def found_in(
         yield from ((image, found, True) for image, found in each(watch(job.footage.frames(last))))
         return
 
-    def find(frame: tuple[Image, Pixels]) -> list[AnyResult]:
-        ((_, found),) = detector.each(iter([frame]))
-        return found
-
     # A resumed run starts with the previous key frame, so that the frames after it get the same results.
-    for image, found, key in with_frames_between(watch(job.footage.frames(last_key - 1)), find, every, names):
+    for image, found, key in with_frames_between(
+        watch(job.footage.frames(last_key - 1)), detector.each_ahead, every, names
+    ):
         if image.id > last:
             yield image, found, key
 

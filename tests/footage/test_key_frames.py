@@ -1,6 +1,6 @@
 """Vehicles between key frames: drawn ones, whose places are known in every frame."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -8,12 +8,23 @@ import pytest
 from numpy.typing import NDArray
 
 from skope import boxes
-from skope.footage.key_frames import with_frames_between
+from skope.footage.key_frames import ImageWithPixels
+from skope.footage.key_frames import with_frames_between as with_frames_between_keys
 from skope.schema import AnyResult, Image, Result, RoadUserResult
 
 SIZE = (320, 200)
 CAR = (48, 32)
 Place = Callable[[int], tuple[float, float]]
+
+
+def with_frames_between(
+    frames: Iterator[ImageWithPixels],
+    find: Callable[[ImageWithPixels], list[AnyResult]],
+    every: int,
+    known: Sequence[int] = (),
+) -> Iterator[tuple[Image, list[AnyResult], bool]]:
+    """Find the vehicles of one key frame at a time."""
+    return with_frames_between_keys(frames, lambda keys: ((key[0], find(key)) for key in keys), every, known)
 
 
 def texture(seed: int, width: int, height: int) -> NDArray[np.uint8]:
