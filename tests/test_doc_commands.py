@@ -107,7 +107,10 @@ def results_of(labels: Path) -> list[Result]:
 
 
 BEFORE: Final = {
-    "README.md": ("skope gen --sites t01_mill_corner,t06_plaza_opening --frames 2 --size 320x180 --out data/roads",),
+    "README.md": tuple(
+        f"skope gen --sites t01_mill_corner,t06_plaza_opening --frames 2 --size 320x180 --out data/{name}"
+        for name in ("roads", "tests")
+    ),
     "evaluation.md": (
         "skope eval --split easy --min-size 64 --out runs/a/eval",
         "skope eval --split easy --min-size 64 --out runs/b/eval",

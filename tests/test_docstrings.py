@@ -22,7 +22,6 @@ OF_OTHERS = {
     "denorm": "a folder of Rope3D",
     "heatmaps_to_keypoints": "a function of torchvision",
     "instances_val2017": "a file of COCO",
-    "interpolate": "a function of torch",
     "kp_32": "a name as users write it",
     "loadRes": "a method of pycocotools",
     "logging": "an extra of pyproject.toml",

@@ -80,8 +80,8 @@ def match(
 ) -> Matches:
     """Match detections to ground-truth vehicles, image by image and greedily.
 
-    In order of decreasing scores (ties: file order), each detection is matched to the free ground-truth box of highest
-    IoU (ties: lowest id), if that IoU reaches the threshold.
+    In order of decreasing scores (ties: order in `results`), each detection is matched to the free ground-truth box of
+    highest IoU (ties: lowest id), if that IoU reaches the threshold.
 
     Args:
         file: The ground truth of a split.

@@ -30,7 +30,7 @@ FIGURE_NAMES: Final[tuple[Name, ...]] = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImageCounts:
-    """Counts of each of N images at one IoU threshold, (N,) each."""
+    """Counts of N images at one IoU threshold; each field has shape (N,)."""
 
     ground_truth: Integers
     """Ground-truth vehicles."""

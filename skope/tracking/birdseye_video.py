@@ -92,7 +92,9 @@ def birdseye_frames(
     road: Pixels | None,
     road_users: Sequence[Track] = (),
 ) -> Iterator[Pixels]:
-    """Yield a frame (H, W, 3) from above for each time, y upwards: outlines with a front line, number and km/h.
+    """Yield a frame (H, W, 3) of the road from above for each time.
+
+    Each vehicle is an outline with its front, number and km/h. The world's y axis points to the top of the frame.
 
     Args:
         tracks: The vehicles' tracks.

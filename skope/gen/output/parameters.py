@@ -92,7 +92,7 @@ class Parameters:
         return int(match[1]), int(match[2])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the parameters as JSON values, with the fields of `variation` among them."""
+        """Return the parameters as JSON values; the fields of `variation` are at the top level."""
         values = plain_values(self)
         return {**values.pop("variation"), **values}
 

@@ -289,7 +289,7 @@ def message_board(rng: np.random.Generator) -> Mesh:
 def sign_gantry(rng: np.random.Generator) -> Mesh:
     """Return a post with an arm high over the road that carries one or two signs with lamps under them.
 
-    The signs face along the road, in either direction; one of them may be a board of dots.
+    The signs face along the road, in either direction; one of them may be a dot-matrix sign (variable message sign).
     """
     reach, low, count = rng.uniform(3.8, 6.5), rng.uniform(5.5, 5.9), int(rng.integers(1, 3))
     way, high = int(rng.choice([-1, 1])), rng.uniform(1.0, 1.6)

@@ -331,9 +331,9 @@ class Greenhouse:
         foot, head = (np.array([glass.place((end, t), ROW_AXES)[0][0] for end in ends]) for t in (low, over))
 
         def post(share: float, t: float, ahead: float = 0.0) -> tuple[float, float]:
-            """Return a position on a post that is `share` of the way along.
+            """Return a position on the window post at a share of the cabin's length, at height `t`, moved by `ahead`.
 
-            Posts are upright between the slanting ends.
+            The first and last posts slant like the windscreen and the rear window. The others are upright.
             """
             up = (t - low) / (over - low)
             slant = foot + up * (head - foot)
