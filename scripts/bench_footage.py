@@ -2,7 +2,6 @@
 
     skope gen video t06_plaza_opening --fps 10 --seconds 12 --out footage     # and other sites
     python scripts/bench_footage.py ways footage --frames 12
-    python scripts/bench_footage.py ways footage --stages                     # time of each stage of an image
     python scripts/bench_footage.py ways footage --device cuda --sizes 1080 --ways torchvision,torch-bfloat16 --times 8
     python scripts/bench_footage.py steps crossing.mp4 --camera crossing.json
     python scripts/bench_footage.py curve runs/curve --rows road33@540@key,road33-lite@540@every
@@ -42,7 +41,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -50,7 +48,6 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-import torch
 from benchmark import in_own_process, machine, print_head, print_row
 from research.footage_scores import COLUMNS, Counts, Row, count, measure
 
@@ -72,6 +69,9 @@ from skope.terminal.console import Console
 from skope.types import Pixels
 from skope.video.footage import Footage, FrameRange, open_footage
 
+# After `skope.detector`, as in the commands: it limits for how long torch's threads spin.
+import torch  # isort: skip
+
 SCORE: Final = 0.5
 WAYS: Final = {
     "torchvision": ("torch", "float32"),
@@ -84,18 +84,6 @@ WAYS: Final = {
     "video": ("auto", "auto"),
 }
 """Backend and number format of each way."""
-STAGES: Final = {
-    "resize": "transform",
-    "pyramid": "backbone",
-    "proposals' head": "rpn.head",
-    "proposals": "rpn",
-    "pooling for boxes": "roi_heads.box_roi_pool",
-    "box head": "roi_heads.box_head",
-    "box predictor": "roi_heads.box_predictor",
-    "pooling for keypoints": "roi_heads.keypoint_roi_pool",
-    "keypoint head": "roi_heads.keypoint_head",
-    "heat maps": "roi_heads.keypoint_predictor",
-}
 
 
 def predictor_of(options: argparse.Namespace, way: str, size: int) -> Predictor:
@@ -188,36 +176,6 @@ def kept(way: str, rows: list[tuple[Image, list[Result]]], job: PredictJob) -> l
         confirmation.add(image.time_s or 0.0, found)
     stay = zip(rows, confirmation.confirmed(), strict=True)
     return [result for (_, found), flags in stay for result in itertools.compress(found, flags)]
-
-
-def stages(options: argparse.Namespace, way: str, size: int) -> dict[str, float]:
-    """Return the seconds per image of each stage, measured on the first clip."""
-    predictor = predictor_of(options, way, size)
-    spent: dict[str, float] = defaultdict(float)
-    begun: dict[str, float] = {}
-
-    def now() -> float:
-        if options.device != "cpu":
-            torch.cuda.synchronize()
-        return time.perf_counter()
-
-    for stage, name in STAGES.items():
-        module = predictor.model.get_submodule(name)
-        module.register_forward_pre_hook(lambda *_, stage=stage: begun.update({stage: now()}))
-        module.register_forward_hook(lambda *_, stage=stage: spent.update({stage: spent[stage] + now() - begun[stage]}))
-    _, footage = clips(options)[0]
-    frames = [pixels for _, pixels in footage.frames()]
-    batches = [frames[i : i + predictor.batch_size] for i in range(0, len(frames), predictor.batch_size)]
-    predictor.detections(batches[0])
-    spent.clear()
-    since = now()
-    for batch in batches[1:]:
-        predictor.detections(batch)
-    whole = now() - since
-    spent["proposals"] -= spent["proposals' head"]
-    spent["other"] = whole - sum(spent.values())
-    number = len(frames) - len(batches[0])
-    return {name: seconds / number for name, seconds in {**spent, "total": whole}.items()}
 
 
 def eval_seconds(*arguments: object) -> float:
@@ -443,11 +401,6 @@ def bench_ways(options: argparse.Namespace) -> None:
         return
     sizes, ways = [int(size) for size in options.sizes.split(",")], options.ways.split(",")
     print(f"{machine(options.device)}, {options.checkpoint}")
-    if options.stages:
-        for way, size in itertools.product(ways, sizes):
-            found = stages(options, way, size)
-            print(f"{way} at {size} px, ms: " + ", ".join(f"{k} {1000 * v:.3g}" for k, v in found.items()))
-        return
     print_head(("way", "short side", "images/s", "memory, MB", *COLUMNS))
     for size, way in itertools.product(sizes, ways):
         result = in_own_process("--only", f"{way}@{size}")
@@ -513,7 +466,6 @@ def main() -> None:
     ways.add_argument("--sizes", default="360,540,720", help="short sides of images inside the network, pixels")
     ways.add_argument("--device", default="cpu")
     ways.add_argument("--ways", default=",".join(WAYS))
-    ways.add_argument("--stages", action="store_true", help="time the stages of an image instead")
     ways.add_argument("--frames", type=int, default=10**9, help="maximum number of frames of each clip")
     ways.add_argument("--times", type=int, default=1, help="passes over each clip, as if it were longer")
     ways.add_argument("--only", help=argparse.SUPPRESS)

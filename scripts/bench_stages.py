@@ -25,7 +25,6 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-import torch
 from benchmark import machine, print_head, print_row, timed
 
 from skope.camera.motion.camera_shake import CameraShakeEstimator
@@ -38,6 +37,9 @@ from skope.schema import Image
 from skope.terminal.console import Console
 from skope.types import Pixels
 from skope.video.footage import FrameRange, open_footage
+
+# After `skope.detector`, as in the commands: it limits for how long torch's threads spin.
+import torch  # isort: skip
 
 MODULES: Final = {
     "resize": ("transform",),

@@ -94,9 +94,10 @@ RUNS: Final[Sequence[Run]] = (
         says='"cells": ["0", ',
     ),
     Run(
-        "bench_footage.py",
-        "ways {footage} --checkpoint {checkpoint} --frames 2 --stages --sizes 64 --ways torch-float32",
-        says="torch-float32 at 64 px, ms: ",
+        "bench_stages.py",
+        "{footage}/v.mp4 --checkpoint {checkpoint} --min-size 64 --backend torch --precision float32 --numbers 1,3"
+        " --frames 2 --rounds 1",
+        says="| keypoint head | ",
     ),
     Run("bench_gen.py", f"frames {RENDERING} --vehicles 1 --frames 1 --skope-only", says="files", apart=True),
     Run("bench_gen.py", f"frames {RENDERING} --vehicles 1 --frames 1", says="EGL plugin", apart=True, slow=True),
