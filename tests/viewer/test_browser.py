@@ -24,7 +24,11 @@ def browser(chromium_pages: Callable[[], AbstractContextManager[Browser]]) -> It
 
 
 @pytest.fixture
-def looking(browser: Browser, served: Callable[[Collection], int]) -> Iterator[Callable[..., Browser]]:
+def looking(
+    browser: Browser,
+    served: Callable[[Collection], int],
+    tmp_path: Path,  # so that the images outlive the page, which reads the next ones ahead
+) -> Iterator[Callable[..., Browser]]:
     """Open a collection in a browser window; at the end nothing has gone wrong in it or been asked elsewhere."""
     origin = ""
 
