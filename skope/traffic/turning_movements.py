@@ -202,7 +202,7 @@ def _confidence_interval(
 ) -> CountInterval | None:
     """Return the confidence interval of a count; None with pedestrians, or if too few road users are detected.
 
-    Of the road users lost after the first gate, nearly none or nearly all may have made this movement. The share is
+    Nearly none or nearly all of the road users lost after the first gate may have made this movement. The share is
     extreme because their destination has no gate, or has a gate that loses them. Movements with pedestrians get no
     confidence interval, because more than half of the tracks of pedestrians switch to another pedestrian between gates.
     """
