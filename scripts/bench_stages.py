@@ -2,11 +2,12 @@
 
     python scripts/bench_stages.py crossing.mp4 --checkpoint road33-lite --min-size 540 --peer yolo11n.xml
 
-The rows of a frame's stages, milliseconds: `decode` reads the frame; `resize` also normalises it; `pyramid` is the
-backbone with its feature pyramid and the proposals' head; `proposals` decodes boxes and suppresses overlapping ones;
-`pooling` cuts regions out of the feature maps; `box head` runs in one or two passes; `selection` suppresses overlapping
-detections; `peaks` reads the heat maps; `other` is the rest of the call; `motion` measures camera shake; `write`
-stores the results of the frame. `detector` is the whole call, from the frame in memory to its detections.
+The rows of a frame's stages, milliseconds: `decode` reads a frame of the open file; `resize` also normalises it;
+`pyramid` is the backbone with its feature pyramid and the proposals' head; `proposals` decodes boxes and suppresses
+overlapping ones; `pooling` cuts regions out of the feature maps; `box head` runs in one or two passes; `selection`
+suppresses overlapping detections; `peaks` reads the heat maps; `other` is the rest of the call; `motion` measures
+camera shake; `write` stores the results of the frame. `detector` is the whole call, from the frame in memory to its
+detections.
 
 The number of road users is fixed: the detector keeps the best N detections, whatever their scores. Numbers and rounds
 alternate. Each cell is the minimum and the median over the rounds of the mean over the frames.
@@ -16,10 +17,11 @@ suppression: the time to resize a frame and to run the model. Weights hardly aff
 """
 
 import argparse
+import itertools
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,7 +35,7 @@ from skope.detector import detect as detection
 from skope.detector.network_settings import BACKEND_CHOICES, PRECISION_CHOICES, Settings
 from skope.detector.predictor import Predictor
 from skope.files.progress import Progress
-from skope.schema import Image
+from skope.schema import AnyResult, Image
 from skope.terminal.console import Console
 from skope.types import Pixels
 from skope.video.footage import FrameRange, open_footage
@@ -106,13 +108,14 @@ def of_detector(
     return {stage: seconds / len(frames) for stage, seconds in stages.items()}
 
 
-def of_footage(video: Path, frames: list[Pixels], predictor: Predictor, number: int) -> dict[str, float]:
-    """Return the seconds per frame of decoding, camera shake and writing."""
+def of_footage(video: Path, frames: list[Pixels], found: Sequence[AnyResult]) -> dict[str, float]:
+    """Return the seconds per frame of decoding, camera shake and writing, if each frame has the results `found`."""
     count = len(frames)
-    decode, _ = timed(lambda: [pixels for _, pixels in read(video, count)])
+    ahead = open_footage(str(video), FrameRange()).frames()
+    next(ahead)  # opens the file
+    decode, decoded = timed(lambda: list(itertools.islice(ahead, count)))
     height, width = frames[0].shape[:2]
     images = [Image(id=i, file_name=f"{i}.jpg", width=width, height=height, time_s=i / 10) for i in range(count)]
-    found = predictor.reporting(0.0).detections(frames[:1])[0].all_results(1)[:number]
     motion, _ = timed(lambda: list(CameraShakeEstimator(frames[0]).watch(iter(zip(images, frames, strict=True)))))
 
     def write() -> None:
@@ -122,7 +125,7 @@ def of_footage(video: Path, frames: list[Pixels], predictor: Predictor, number: 
                 rows = list(map(coco.result_to_dict, found))
                 progress.add({"image": coco.image_to_dict(image), "results": rows})
 
-    return {"decode": decode / count, "motion": motion / count, "write": timed(write)[0] / count}
+    return {"decode": decode / max(1, len(decoded)), "motion": motion / count, "write": timed(write)[0] / count}
 
 
 def read(video: Path, count: int) -> list[tuple[Image, Pixels]]:
@@ -169,12 +172,13 @@ def main() -> None:
     frames = [pixels for _, pixels in read(options.video, options.frames)]
     numbers = [int(number) for number in options.numbers.split(",")]
     clock = StageClock(predictor)
+    found = predictor.reporting(0.0).detections(frames[:1])[0].all_results(1)
     peer = peer_of(options.peer) if options.peer else None
     rounds: dict[int, list[dict[str, float]]] = {number: [] for number in numbers}
     for turn in range(options.rounds + 1):  # the first warms up
         for number in numbers:
             row = {
-                **of_footage(options.video, frames, predictor, number),
+                **of_footage(options.video, frames, found[:number]),
                 **of_detector(predictor, clock, frames, number, options.device),
             }
             if peer:

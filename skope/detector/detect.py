@@ -42,9 +42,7 @@ def heatmap_peaks(maps: Tensor, boxes: Tensor) -> tuple[Tensor, Tensor]:
     Returns:
         (N, K, 2) x and y of the peaks, pixels, and (N, K) logits there.
     """
-    number, keypoints, height, width = maps.shape
-    if not number:
-        return maps.new_zeros(0, keypoints, 2), maps.new_zeros(0, keypoints)
+    height, width = maps.shape[2:]
     flat = maps.flatten(2)
     cell = flat.argmax(dim=2)
     row, column = cell // width, cell % width
