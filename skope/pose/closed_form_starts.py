@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skope import keypoints
 from skope.camera.ground_plane import Ground
 from skope.pose import observations
 from skope.pose.observations import KEYPOINT_WEIGHTS, Observed
@@ -77,60 +78,89 @@ def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | Non
     Returns:
         (N, T) starts. Their cost is over all keypoints that count, regardless of `chosen`.
     """
-    # A keypoint (x, y, z) of the body lies at (X + c x - s y, Y + s x + c y, z) in the world, where X, Y are the place
-    # and c, s are cosine and sine of the heading. Each keypoint gives two equations, rows . world = -shift, that are
-    # linear in X, Y, c, s: those of its column and its row in the image.
     # X and Y count from the camera's foot, because world coordinates may be millions, as in UTM.
     R = seen.T_camera_world[:3, :3]
     foot = -R.T @ seen.T_camera_world[:3, 3] * [1.0, 1.0, 0.0]
     t = seen.T_camera_world[:3, 3] + R @ foot
-    body = shapes.mean[None, :, :-1]  # (1, T, 33, 3)
-    x, y, z = body[..., 0], body[..., 1], body[..., 2] + ground.height
     weight = (seen.counted if chosen is None else chosen) / seen.variance
-    rows = np.stack([R[i] - seen.xy[..., i : i + 1] * R[2] for i in (0, 1)])[:, :, None]  # (2, N, 1, 33, 3)
-    shift = np.stack([t[i] - seen.xy[..., i] * t[2] for i in (0, 1)])[:, :, None]  # (2, N, 1, 33)
-    m0, m1, m2 = rows[..., 0], rows[..., 1], rows[..., 2]
-    # The equations A (X, Y, c, s) = b.
-    A = np.stack(np.broadcast_arrays(m0, m1, m0 * x + m1 * y, m1 * x - m0 * y), axis=-1)  # (2, N, T, 33, 4)
-    b = -(m2 * z + shift)
-    # All equations of columns before all of rows.
-    A = np.concatenate([A[0], A[1]], axis=2)
-    b = np.concatenate([b[0], b[1]], axis=2)
-    w = np.broadcast_to(np.concatenate([weight, weight], axis=1)[:, None], b.shape)
+    image_terms = _image_terms(seen, R, t) * weight[:, None]  # (N, 7, 33)
+    body = np.concatenate([shapes.mean[:, :-1], np.ones((len(shapes.types), keypoints.K, 1))], axis=-1)
+    body[..., 2] += ground.height
+    body_terms = _body_terms(body)  # (T, 33, 9)
     # An equation's error is in metres at the keypoint's depth. The first round assumes equal depths, the second uses
-    # the depths of the first.
-    for last in (False, True):
-        AT = np.swapaxes(A, -1, -2)
-        normal = (AT * w[:, :, None]) @ A + 1e-9 * np.eye(4)
-        solution = np.linalg.solve(normal, AT @ (w * b)[..., None])[..., 0]
-        # The length of (c, s) is the vehicle's size relative to the mean: 1 for a pure rotation.
-        size = np.maximum(np.hypot(solution[..., 2], solution[..., 3]), 1e-9)
-        turn = solution[..., 2:] / size[..., None]
-        c, s = turn[..., :1], turn[..., 1:]
-        # The mean is placed unscaled, with its middle at that of the scaled one.
-        world = np.empty((*c.shape[:2], *body.shape[2:]))
-        world[..., 0] = solution[..., :1] + c * x - s * y
-        world[..., 1] = solution[..., 1:2] + s * x + c * y
-        world[..., 2] = z
-        seen_from = world @ R.T + t
-        depth = np.maximum(seen_from[..., 2], KEYPOINT_WEIGHTS.nearest_m)
-        if last:
-            break
-        w = np.concatenate([weight, weight], axis=1)[:, None] / np.concatenate([depth, depth], axis=-1) ** 2
+    # the depths of the first. Arrays begin with (T, N).
+    X, Y, c, s, _ = _placed(image_terms[None], body_terms)
+    depth = _in_camera(R, t, X, Y, c, s, body)[:, :, 2]
+    near = np.maximum(depth, KEYPOINT_WEIGHTS.nearest_m)
+    X, Y, c, s, size = _placed(image_terms / near[:, :, None] ** 2, body_terms)
+    # The mean is placed unscaled, with its middle at that of the scaled one.
+    seen_from = np.moveaxis(_in_camera(R, t, X, Y, c, s, body), (0, 2), (1, 3))
     # Cost of the misfit, and of an unlikely size for the type.
-    cost = _cost(seen, seen_from) + (np.log(size) / START_ERRORS.log_size) ** 2
+    cost = _cost(seen, seen_from) + (np.log(size.T) / START_ERRORS.log_size) ** 2
     # The starts as positions and rotation matrices.
-    zero = np.zeros_like(c[..., 0])
-    R_wv = np.stack(
-        [
-            np.stack([c[..., 0], -s[..., 0], zero], -1),
-            np.stack([s[..., 0], c[..., 0], zero], -1),
-            np.stack([zero, zero, zero + 1], -1),
-        ],
-        axis=-2,
-    )
-    p = np.concatenate([solution[..., :2] + foot[:2], np.full((*solution.shape[:2], 1), ground.height)], axis=-1)
+    R_wv = np.zeros((*cost.shape, 3, 3))
+    R_wv[..., 0, 0] = R_wv[..., 1, 1] = c.T
+    R_wv[..., 1, 0], R_wv[..., 0, 1], R_wv[..., 2, 2] = s.T, -s.T, 1.0
+    p = np.stack([X.T + foot[0], Y.T + foot[1], np.full_like(cost, ground.height)], axis=-1)
     return Starts(p, R_wv, cost)
+
+
+# A keypoint (x, y, z) of the body lies at (X + c x - s y, Y + s x + c y, z) in the world, where X, Y are the place and
+# c, s are cosine and sine of the heading. Each keypoint gives two equations, m . world = -shift, that are linear in
+# X, Y, c, s: those of its column and its row in the image. Their normal equations are sums over the keypoints of
+# products of a term that depends on the image and a term that depends on the body. So they need one matrix product for
+# all vehicles and body types.
+
+
+def _image_terms(seen: Observed, R: Array, t: Array) -> Array:
+    """Return (N, 7, 33) terms of the normal equations that depend on a keypoint's position in the image."""
+    m = np.stack([R[i] - seen.xy[..., i : i + 1] * R[2] for i in (0, 1)])  # (2, N, 33, 3)
+    shift = np.stack([t[i] - seen.xy[..., i] * t[2] for i in (0, 1)])  # (2, N, 33)
+    m0, m1, m2 = np.moveaxis(m, -1, 0)
+    terms = np.stack([m0 * m0, m0 * m1, m1 * m1, -m0 * shift, -m1 * shift, -m0 * m2, -m1 * m2], axis=2)
+    return np.asarray(terms.sum(axis=0))
+
+
+def _body_terms(body: Array) -> Array:
+    """Return (T, 33, 9) terms of the normal equations that depend on the place of a keypoint on the body.
+
+    `body` is (T, 33, 4): x, y, z, 1.
+    """
+    x, y, z, one = np.moveaxis(body, -1, 0)
+    return np.stack([one, x, y, x * x, x * y, y * y, z, x * z, y * z], axis=-1)
+
+
+def _placed(image_terms: Array, body_terms: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Solve the normal equations for image terms (T or 1, N, 7, 33), with their weights, and body terms (T, 33, 9).
+
+    Returns:
+        X, Y, the cosine and sine of the heading, and the size relative to the mean, (T, N) each.
+    """
+    sums = image_terms.reshape(len(image_terms), -1, keypoints.K) @ body_terms
+    sums = sums.reshape(len(body_terms), -1, 7, 9)
+    (a, ax, ay, axx, axy, ayy), (b, bx, by, bxx, bxy, byy), (d, dx, dy, dxx, dxy, dyy) = (
+        np.moveaxis(sums[:, :, i, :6], -1, 0) for i in range(3)
+    )
+    u, ux, uy = np.moveaxis(sums[:, :, 3, :3] + sums[:, :, 5, 6:], -1, 0)
+    v, vx, vy = np.moveaxis(sums[:, :, 4, :3] + sums[:, :, 6, 6:], -1, 0)
+    xc, xs, yc, ys = ax + by, bx - ay, bx + dy, dx - by
+    cc, cs, ss = axx + 2 * bxy + dyy, bxx - axy - byy + dxy, ayy - 2 * bxy + dxx
+    normal = np.stack([a, b, xc, xs, b, d, yc, ys, xc, yc, cc, cs, xs, ys, cs, ss], axis=-1)
+    normal = normal.reshape(*a.shape, 4, 4) + 1e-9 * np.eye(4)
+    right = np.stack([u, v, ux + vy, vx - uy], axis=-1)
+    X, Y, c, s = np.moveaxis(np.linalg.solve(normal, right[..., None])[..., 0], -1, 0)
+    # The length of (c, s) is the vehicle's size relative to the mean: 1 for a pure rotation.
+    size = np.maximum(np.hypot(c, s), 1e-9)
+    return X, Y, c / size, s / size, size
+
+
+def _in_camera(R: Array, t: Array, X: Array, Y: Array, c: Array, s: Array, body: Array) -> Array:
+    """Return (T, N, 3, 33) keypoints of the placed means in the camera frame, metres. `body` is (T, 33, 4)."""
+    by_x, by_y = R[:, 0] * c[..., None] + R[:, 1] * s[..., None], R[:, 1] * c[..., None] - R[:, 0] * s[..., None]
+    origin = R[:, 0] * X[..., None] + R[:, 1] * Y[..., None] + t
+    moves = np.stack([by_x, by_y, np.broadcast_to(R[:, 2], by_x.shape), origin], axis=-1)  # (T, N, 3, 4)
+    rows = moves.reshape(len(moves), -1, 4) @ np.swapaxes(body, -1, -2)
+    return np.asarray(rows.reshape(*X.shape, 3, keypoints.K))
 
 
 def placed_anywhere(seen: Observed, shapes: Shapes, chosen: Mask | None = None) -> Starts:

@@ -181,9 +181,8 @@ def estimate_poses(
         camera, flat = levelled(camera, ground)
         level = estimate_poses(camera, found, sigma_px=sigma, ground=flat, shapes=space, cut=at_edge)
         return level.moved(ground.T_world_level)
-    rng = np.random.default_rng(0)  # a fixed seed makes the result independent of earlier calls
     parts = [slice(i, i + POSE_LIMITS.chunk_vehicles) for i in range(0, len(found), POSE_LIMITS.chunk_vehicles)]
-    chunks = [_locate_chunk(camera, found[part], sigma[part], at_edge[part], ground, space, rng) for part in parts]
+    chunks = [_locate_chunk(camera, found[part], sigma[part], at_edge[part], ground, space) for part in parts]
     return _joined(chunks).without_rejected()
 
 
@@ -200,23 +199,34 @@ def _locate_chunk(
     cut: NDArray[np.bool_],
     ground: Ground | None,
     shapes: Shapes,
-    rng: np.random.Generator,
 ) -> Poses:
     seen = observe(camera, found, sigma)
     fits = best_types(seen, shapes, ground)
     exchanged: dict[int, str] = {}
     doubted: set[int] = set()
-    doubtful = (agreeing_share(seen, fits) < POSE_LIMITS.retry_agreement) | (
-        fits.cost[:, 0] > POSE_LIMITS.impossible_cost
-    )
-    poor = np.flatnonzero((doubtful | cut) & (seen.count >= FEWEST_KEYPOINTS[ground is not None]))
+    poor = np.flatnonzero((_doubtful(seen, fits) | cut) & (seen.count >= FEWEST_KEYPOINTS[ground is not None]))
     if poor.size:
-        retry_from_subsets(seen, fits, poor, shapes, ground, rng)
-        whole = seen.take(poor)
+        # The detector's keypoints on the hidden sides explain most of the misfits.
+        whole, first = seen, fits.take(poor)
         seen, margin = without_hidden(camera, seen, fits, poor, cut[poor], shapes, ground)
         doubted.update(poor[margin < POSE_SEARCH.rival_gap].tolist())
-        seen = retry_exchanged(seen, whole, fits, poor, shapes, ground, exchanged)
+        still = np.flatnonzero(_doubtful(seen, fits)[poor])
+        if still.size:  # start again, elsewhere
+            rows = poor[still]
+            seen = seen.with_rows(rows, whole.take(rows))
+            fits.replace_where(rows, first.take(still), np.ones(len(rows), dtype=bool))
+            retry_from_subsets(seen, fits, rows, shapes, ground)
+            seen, margin = without_hidden(camera, seen, fits, rows, cut[rows], shapes, ground)
+            doubted.difference_update(rows.tolist())
+            doubted.update(rows[margin < POSE_SEARCH.rival_gap].tolist())
+            seen = retry_exchanged(seen, whole.take(rows), fits, rows, shapes, ground, exchanged)
     return _to_poses(camera, seen, fits, shapes, ground, exchanged, doubted, cut)
+
+
+def _doubtful(seen: Observed, fits: Fits) -> NDArray[np.bool_]:
+    """Return (N,) whether too few keypoints agree with the best fit, or it is impossible."""
+    few = agreeing_share(seen, fits) < POSE_LIMITS.retry_agreement
+    return np.asarray(few | (fits.cost[:, 0] > POSE_LIMITS.impossible_cost))
 
 
 def _to_poses(

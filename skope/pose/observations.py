@@ -86,9 +86,9 @@ class Observed:
             parts[name][rows] = getattr(other, name)
         return replace(self, **parts)
 
-    def subsets(self, size: int, rng: np.random.Generator) -> Mask:
-        """Return (N, 33) at most `size` random counted keypoints of each vehicle."""
-        rank = np.argsort(np.argsort(np.where(self.counted, rng.random(self.counted.shape), 2.0), axis=1), axis=1)
+    def first_counted(self, size: int, order: Array) -> Mask:
+        """Return (N, 33) the counted keypoints of each vehicle with the `size` smallest values, 0 to 1, in `order`."""
+        rank = np.argsort(np.argsort(np.where(self.counted, order, 2.0), axis=1), axis=1)
         return np.asarray(self.counted & (rank < size))
 
     def on_a_line(self) -> Mask:

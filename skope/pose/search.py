@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from skope import keypoints
 from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
 from skope.keypoints import FLIP, OTHER_END
@@ -51,9 +52,7 @@ EXCHANGED_ORDERS: Final = (list(FLIP), list(OTHER_END), [FLIP[i] for i in OTHER_
 """Order of the keypoints for each of `EXCHANGE_FLAGS`."""
 
 
-def retry_from_subsets(
-    seen: Observed, fits: Fits, poor: RowNumbers, shapes: Shapes, ground: Ground | None, rng: np.random.Generator
-) -> None:
+def retry_from_subsets(seen: Observed, fits: Fits, poor: RowNumbers, shapes: Shapes, ground: Ground | None) -> None:
     """Fit vehicles from random small subsets of keypoints; `fits` is updated with better fits to all keypoints.
 
     Args:
@@ -62,11 +61,13 @@ def retry_from_subsets(
         poor: Rows of the vehicles to retry.
         shapes: The body types.
         ground: The road; None: unknown.
-        rng: Random generator for the subsets.
     """
     times = RANDOM_STARTS[ground is not None]
     some, again = seen.take(poor), seen.take(np.tile(poor, times))
-    starts = vehicle_starts(again, shapes, ground, again.subsets(POSE_SEARCH.start_keypoints, rng)).gathered(times)
+    # A fixed order of the keypoints for each start makes the fits of a vehicle independent of other vehicles.
+    order = np.random.default_rng(0).random((times, keypoints.K)).repeat(len(poor), axis=0)
+    subsets = again.first_counted(POSE_SEARCH.start_keypoints, order)
+    starts = vehicle_starts(again, shapes, ground, subsets).gathered(times)
     better = refined(some, shapes, ground, starts, np.tile(np.arange(len(shapes.types)), times))
     fits.replace_where(poor, better, better.cost[:, 0] < fits.cost[poor, 0])
 

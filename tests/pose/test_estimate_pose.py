@@ -1,6 +1,7 @@
 """Poses from keypoints: exact where the shape is known, near the Cramer-Rao bound where it is not, refused or flagged
 where the keypoints are nonsense."""
 
+import itertools
 import math
 from dataclasses import replace
 from typing import Any
@@ -14,8 +15,9 @@ from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 from skope.gen.vehicles.fleet import fleet
-from skope.pose import estimate_pose
+from skope.pose import closed_form_starts, estimate_pose
 from skope.pose.keypoint_views import Scene
+from skope.pose.observations import observe
 from skope.pose.pose_records import locate_view
 from skope.pose.shape_model import Shapes, facing, fleet_shapes, read_shapes
 from skope.schema import AnnotationFile, Image, Result
@@ -273,3 +275,41 @@ def test_what_a_detector_pushes_to_the_images_edge_does_not_turn_the_vehicle() -
     assert len(turned[True]) >= 20
     assert np.median(turned[True]) < 2.5
     assert np.median(turned[True]) < 0.5 * np.median(turned[False])
+
+
+def test_starts_on_the_ground_are_the_least_squares_solution() -> None:
+    truth = scene(drawn(12, 5), np.random.default_rng(6), noise=3)
+    ground = Ground(height=0.2)
+    seen = observe(CAMERA, truth.found, np.full(12, 2.0))
+    starts = closed_form_starts.on_ground(seen, SPACE, ground)
+    # The solution is damped by 1e-9, towards the camera's foot.
+    for i, k in itertools.product(range(12), (0, 5, 13)):
+        use, depth = seen.counted[i], np.ones(seen.counted[i].sum())
+        x, y, z = SPACE.mean[k, :-1][use].T
+        for _ in range(2):
+            # Two equations per keypoint in X, Y, c, s: the projections to the image, times the depth.
+            lines, right = [math.sqrt(1e-9) * np.eye(4)], [math.sqrt(1e-9) * np.array([*CAMERA.position[:2], 0, 0])]
+            for axis in (0, 1):
+                m = CAMERA.T_camera_world[axis] - seen.xy[i, use, axis, None] * CAMERA.T_camera_world[2]
+                scale = 1 / np.sqrt(seen.variance[i, use]) / depth
+                columns = [m[:, 0], m[:, 1], m[:, 0] * x + m[:, 1] * y, m[:, 1] * x - m[:, 0] * y]
+                lines.append(np.stack(columns, axis=1) * scale[:, None])
+                right.append(-(m[:, 2] * (z + ground.height) + m[:, 3]) * scale)
+            X, Y, c, s = np.linalg.lstsq(np.concatenate(lines), np.concatenate(right), rcond=None)[0]
+            c, s = np.array([c, s]) / math.hypot(c, s)
+            world = np.stack([X + c * x - s * y, Y + s * x + c * y, z + ground.height, np.ones_like(x)], axis=1)
+            depth = world @ CAMERA.T_camera_world[2]
+        assert starts.p[i, k] == pytest.approx([X, Y, 0.2], abs=1e-7)
+        assert starts.R[i, k][:, 0] == pytest.approx([c, s, 0], abs=1e-7)
+
+
+def test_the_pose_of_a_vehicle_does_not_depend_on_the_others() -> None:
+    rng = np.random.default_rng(8)
+    truth = scene(drawn(40, 7), rng, noise=2)
+    found = truth.found.copy()
+    found[..., :2] += (rng.random(found.shape[:2]) < 0.6)[..., None] * rng.normal(0, 60, (*found.shape[:2], 2))
+    together = estimate_pose.estimate_poses(CAMERA, found)
+    alone = [estimate_pose.estimate_poses(CAMERA, found[i : i + 1]) for i in range(40)]
+    assert [pose.refusal[0] for pose in alone] == list(together.refusal)
+    assert [pose.flags[0] for pose in alone] == list(together.flags)
+    assert np.concatenate([pose.position for pose in alone]) == pytest.approx(together.position, abs=1e-6, nan_ok=True)
