@@ -203,24 +203,21 @@ def _locate_chunk(
     seen = observe(camera, found, sigma)
     fits = best_types(seen, shapes, ground)
     exchanged: dict[int, str] = {}
-    doubted: set[int] = set()
+    margin = np.full(len(fits.cost), np.inf)  # additional cost of the opposite heading
     poor = np.flatnonzero((_doubtful(seen, fits) | cut) & (seen.count >= FEWEST_KEYPOINTS[ground is not None]))
     if poor.size:
         # The detector's keypoints on the hidden sides explain most of the misfits.
         whole, first = seen, fits.take(poor)
-        seen, margin = without_hidden(camera, seen, fits, poor, cut[poor], shapes, ground)
-        doubted.update(poor[margin < POSE_SEARCH.rival_gap].tolist())
+        seen, margin[poor] = without_hidden(camera, seen, fits, poor, cut[poor], shapes, ground)
         still = np.flatnonzero(_doubtful(seen, fits)[poor])
         if still.size:  # start again, elsewhere
             rows = poor[still]
             seen = seen.with_rows(rows, whole.take(rows))
             fits.replace_where(rows, first.take(still), np.ones(len(rows), dtype=bool))
             retry_from_subsets(seen, fits, rows, shapes, ground)
-            seen, margin = without_hidden(camera, seen, fits, rows, cut[rows], shapes, ground)
-            doubted.difference_update(rows.tolist())
-            doubted.update(rows[margin < POSE_SEARCH.rival_gap].tolist())
+            seen, margin[rows] = without_hidden(camera, seen, fits, rows, cut[rows], shapes, ground)
             seen = retry_exchanged(seen, whole.take(rows), fits, rows, shapes, ground, exchanged)
-    return _to_poses(camera, seen, fits, shapes, ground, exchanged, doubted, cut)
+    return _to_poses(camera, seen, fits, shapes, ground, exchanged, margin < POSE_SEARCH.rival_gap, cut)
 
 
 def _doubtful(seen: Observed, fits: Fits) -> NDArray[np.bool_]:
@@ -236,7 +233,7 @@ def _to_poses(
     shapes: Shapes,
     ground: Ground | None,
     exchanged: dict[int, str],
-    doubted: set[int],
+    doubted: NDArray[np.bool_],
     cut: NDArray[np.bool_],
 ) -> Poses:
     squared = fits.squared[:, 0]
@@ -267,7 +264,7 @@ def _to_poses(
         rms_px=np.sqrt(misses / np.maximum(1, agreeing)),
         refusal=_refusals(camera, seen, fits, T, covariance, agreeing, FEWEST_KEYPOINTS[ground is not None]),
         flags=tuple(
-            (*_doubts(camera, seen, fits, T[i], i, exchanged.get(i), i in doubted), *(["cut"] if cut[i] else []))
+            (*_doubts(camera, seen, fits, T[i], i, exchanged.get(i), bool(doubted[i])), *(["cut"] if cut[i] else []))
             for i in range(len(T))
         ),
     )

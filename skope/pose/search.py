@@ -1,7 +1,7 @@
 """Continue the search for poses of vehicles with contradictory keypoints.
 
-The search tries random subsets of the keypoints, the keypoints without those that the vehicle's own body hides, and
-keypoints with exchanged sides or ends of the vehicle.
+The search first leaves out the keypoints that the vehicle's own body hides. If that does not suffice, it tries random
+subsets of the keypoints, and keypoints with exchanged sides or ends of the vehicle.
 """
 
 from dataclasses import dataclass, replace
