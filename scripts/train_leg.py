@@ -220,7 +220,8 @@ def train_round(
     settings = (*stage.settings, *(stage.last if last else ()))
     if options.miniature:
         settings = (*settings, *TINY_SETTINGS)
-    new = ["--recipe", str(HERE / "recipes" / stage.recipe), "--init", str(start or RANDOM), "--seed", str(number)]
+    new = ["--recipe", str(HERE / "recipes" / stage.recipe), "--init", str(start or RANDOM)]
+    new += ["--seed", str(100 * options.seed + number)]
     new += [word for setting in settings for word in ("--set", setting)]
     if number > 1:
         new += ["--set", "warmup_steps=50"]
@@ -436,6 +437,7 @@ def main() -> None:
     )
     run_parser.add_argument("--out", type=Path, required=True)
     run_parser.add_argument("--minutes", type=float, default=25.0, help="time of the whole stage")
+    run_parser.add_argument("--seed", type=int, default=0, help="a different number gives a different order of images")
     run_parser.add_argument("--gpus", default="0", help="GPU numbers, separated by commas")
     run_parser.add_argument(
         "--workers", type=int, default=2, help="processes that make places; 0: another run makes them"

@@ -79,9 +79,9 @@ def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | Non
         (N, T) starts. Their cost is over all keypoints that count, regardless of `chosen`.
     """
     # X and Y count from the camera's foot, because world coordinates may be millions, as in UTM.
-    R = seen.T_camera_world[:3, :3]
-    foot = -R.T @ seen.T_camera_world[:3, 3] * [1.0, 1.0, 0.0]
-    t = seen.T_camera_world[:3, 3] + R @ foot
+    T_camera_world = seen.world_to_camera
+    R, foot = T_camera_world[:, :3, :3], seen.eye * [1.0, 1.0, 0.0]
+    t = T_camera_world[:, :3, 3] + (R @ foot[..., None])[..., 0]
     weight = (seen.counted if chosen is None else chosen) / seen.variance
     image_terms = _image_terms(seen, R, t) * weight[:, None]  # (N, 7, 33)
     body = np.concatenate([shapes.mean[:, :-1], np.ones((len(shapes.types), keypoints.K, 1))], axis=-1)
@@ -101,7 +101,7 @@ def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | Non
     R_wv = np.zeros((*cost.shape, 3, 3))
     R_wv[..., 0, 0] = R_wv[..., 1, 1] = c.T
     R_wv[..., 1, 0], R_wv[..., 0, 1], R_wv[..., 2, 2] = s.T, -s.T, 1.0
-    p = np.stack([X.T + foot[0], Y.T + foot[1], np.full_like(cost, ground.height)], axis=-1)
+    p = np.stack([X.T + foot[:, :1], Y.T + foot[:, 1:2], np.full_like(cost, ground.height)], axis=-1)
     return Starts(p, R_wv, cost)
 
 
@@ -114,8 +114,8 @@ def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | Non
 
 def _image_terms(seen: Observed, R: Array, t: Array) -> Array:
     """Return (N, 7, 33) terms of the normal equations that depend on a keypoint's position in the image."""
-    m = np.stack([R[i] - seen.xy[..., i : i + 1] * R[2] for i in (0, 1)])  # (2, N, 33, 3)
-    shift = np.stack([t[i] - seen.xy[..., i] * t[2] for i in (0, 1)])  # (2, N, 33)
+    m = np.stack([R[:, None, i] - seen.xy[..., i : i + 1] * R[:, None, 2] for i in (0, 1)])  # (2, N, 33, 3)
+    shift = np.stack([t[:, i, None] - seen.xy[..., i] * t[:, 2, None] for i in (0, 1)])  # (2, N, 33)
     m0, m1, m2 = np.moveaxis(m, -1, 0)
     terms = np.stack([m0 * m0, m0 * m1, m1 * m1, -m0 * shift, -m1 * shift, -m0 * m2, -m1 * m2], axis=2)
     return np.asarray(terms.sum(axis=0))
@@ -156,9 +156,10 @@ def _placed(image_terms: Array, body_terms: Array) -> tuple[Array, Array, Array,
 
 def _in_camera(R: Array, t: Array, X: Array, Y: Array, c: Array, s: Array, body: Array) -> Array:
     """Return (T, N, 3, 33) keypoints of the placed means in the camera frame, metres. `body` is (T, 33, 4)."""
-    by_x, by_y = R[:, 0] * c[..., None] + R[:, 1] * s[..., None], R[:, 1] * c[..., None] - R[:, 0] * s[..., None]
-    origin = R[:, 0] * X[..., None] + R[:, 1] * Y[..., None] + t
-    moves = np.stack([by_x, by_y, np.broadcast_to(R[:, 2], by_x.shape), origin], axis=-1)  # (T, N, 3, 4)
+    x, y, z = np.moveaxis(R, -1, 0)  # (N, 3) each: the world's axes in the camera frame
+    by_x, by_y = x * c[..., None] + y * s[..., None], y * c[..., None] - x * s[..., None]
+    origin = x * X[..., None] + y * Y[..., None] + t
+    moves = np.stack([by_x, by_y, np.broadcast_to(z, by_x.shape), origin], axis=-1)  # (T, N, 3, 4)
     rows = moves.reshape(len(moves), -1, 4) @ np.swapaxes(body, -1, -2)
     return np.asarray(rows.reshape(*X.shape, 3, keypoints.K))
 
@@ -198,10 +199,10 @@ def placed_anywhere(seen: Observed, shapes: Shapes, chosen: Mask | None = None) 
 
 def _cost(seen: Observed, points: Array) -> Array:
     """Return the cost (N, T) of vehicles with keypoints at `points` (N, T, 33, 3) in the camera frame, metres."""
-    depth = points[..., 2]
+    depth, focal = points[..., 2], seen.focal[:, None, None]
     near = np.maximum(depth, KEYPOINT_WEIGHTS.nearest_m)
-    away = (points[..., :2] / near[..., None] - seen.xy[:, None]) * seen.focal
-    variance = seen.variance[:, None] + (seen.focal.mean() * START_ERRORS.misfit_m / near) ** 2
+    away = (points[..., :2] / near[..., None] - seen.xy[:, None]) * focal
+    variance = seen.variance[:, None] + (focal.mean(axis=-1) * START_ERRORS.misfit_m / near) ** 2
     squared = (away**2).sum(axis=-1) / variance
     behind = ((depth <= KEYPOINT_WEIGHTS.nearest_m) & seen.counted[:, None]).any(axis=-1)
     cost = (observations.cost(squared) * seen.counted[:, None]).sum(axis=-1)

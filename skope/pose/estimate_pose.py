@@ -12,8 +12,10 @@ and continues with Levenberg and Marquardt's method from the best few. It is rep
 (`skope.pose.search`). Poses without enough supporting keypoints are rejected.
 """
 
+import itertools
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final, Self
 
 import numpy as np
@@ -136,6 +138,10 @@ class Poses:
             flags=shared_out(self.flags, ()),
         )
 
+    def part(self, rows: slice) -> Self:
+        """Return the consecutive vehicles `rows`."""
+        return replace(self, **{field.name: getattr(self, field.name)[rows] for field in fields(self)})
+
     def without_rejected(self) -> Self:
         """Return the same poses with NaN for the numbers of rejected vehicles."""
         rejected = np.array([reason is not None for reason in self.refusal], dtype=bool)
@@ -150,6 +156,20 @@ class Poses:
         return self.T_world_vehicle[:, :3, 3]
 
 
+@dataclass(frozen=True, eq=False)
+class VehicleKeypoints:
+    """Detected keypoints of the N vehicles in one image, for a pose search."""
+
+    camera: Camera
+    """The camera of the image."""
+    points: Array
+    """(N, 33, 3) x, y in pixels and the probability that the point is correct; with 0 it does not count."""
+    sigma_px: Array
+    """(N,) standard deviation of a keypoint of probability 1, pixels."""
+    cut: NDArray[np.bool_]
+    """(N,) whether the image's edge may cut a vehicle. Keypoints beyond the edge then do not count."""
+
+
 def estimate_poses(
     camera: Camera,
     points: ArrayLike,
@@ -159,7 +179,7 @@ def estimate_poses(
     shapes: Shapes | None = None,
     cut: ArrayLike = False,
 ) -> Poses:
-    """Estimate pose and shape of vehicles from their keypoints.
+    """Estimate pose and shape of vehicles in one image from their keypoints.
 
     Args:
         camera: The camera of the image.
@@ -176,14 +196,38 @@ def estimate_poses(
     found = np.asarray(points, dtype=np.float64).reshape(-1, keypoints.K, 3)
     sigma = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), len(found))
     at_edge = np.broadcast_to(np.asarray(cut, dtype=bool), len(found))
+    return poses_of_images([VehicleKeypoints(camera, found, sigma, at_edge)], ground, shapes)[0]
+
+
+def poses_of_images(
+    images: Sequence[VehicleKeypoints], ground: Ground | None, shapes: Shapes | None = None
+) -> list[Poses]:
+    """Estimate pose and shape of the vehicles in several images of one place.
+
+    The poses are those that `estimate_poses` gives for each image; together they cost less.
+
+    Args:
+        images: The vehicles of each image.
+        ground: The road in the world of all cameras; None: unknown.
+        shapes: The body types to choose from; None: those of the fleet.
+
+    Returns:
+        The poses in each image.
+    """
     space = shapes or fleet_shapes()
+    if not images:
+        return []
     if ground and not ground.level:
-        camera, flat = levelled(camera, ground)
-        level = estimate_poses(camera, found, sigma_px=sigma, ground=flat, shapes=space, cut=at_edge)
-        return level.moved(ground.T_world_level)
-    parts = [slice(i, i + POSE_LIMITS.chunk_vehicles) for i in range(0, len(found), POSE_LIMITS.chunk_vehicles)]
-    chunks = [_locate_chunk(camera, found[part], sigma[part], at_edge[part], ground, space) for part in parts]
-    return _joined(chunks).without_rejected()
+        level = [replace(image, camera=levelled(image.camera, ground)[0]) for image in images]
+        flat = levelled(images[0].camera, ground)[1]
+        return [poses.moved(ground.T_world_level) for poses in poses_of_images(level, flat, space)]
+    seen = Observed.joined([observe(image.camera, image.points, image.sigma_px) for image in images])
+    cut = np.concatenate([image.cut for image in images])
+    rows = np.arange(len(cut))
+    parts = [rows[i : i + POSE_LIMITS.chunk_vehicles] for i in range(0, len(rows), POSE_LIMITS.chunk_vehicles)]
+    together = _joined([_locate_chunk(seen.take(part), cut[part], ground, space) for part in parts]).without_rejected()
+    ends = np.cumsum([0, *(len(image.points) for image in images)]).tolist()
+    return [together.part(slice(first, last)) for first, last in itertools.pairwise(ends)]
 
 
 def levelled(camera: Camera, ground: Ground) -> tuple[Camera, Ground]:
@@ -192,15 +236,7 @@ def levelled(camera: Camera, ground: Ground) -> tuple[Camera, Ground]:
     return replace(camera, T_camera_world=camera.T_camera_world @ ground.T_world_level), flat
 
 
-def _locate_chunk(
-    camera: Camera,
-    found: Array,
-    sigma: Array,
-    cut: NDArray[np.bool_],
-    ground: Ground | None,
-    shapes: Shapes,
-) -> Poses:
-    seen = observe(camera, found, sigma)
+def _locate_chunk(seen: Observed, cut: NDArray[np.bool_], ground: Ground | None, shapes: Shapes) -> Poses:
     fits = best_types(seen, shapes, ground)
     exchanged: dict[int, str] = {}
     margin = np.full(len(fits.cost), np.inf)  # additional cost of the opposite heading
@@ -208,16 +244,16 @@ def _locate_chunk(
     if poor.size:
         # The detector's keypoints on the hidden sides explain most of the misfits.
         whole, first = seen, fits.take(poor)
-        seen, margin[poor] = without_hidden(camera, seen, fits, poor, cut[poor], shapes, ground)
+        seen, margin[poor] = without_hidden(seen, fits, poor, cut[poor], shapes, ground)
         still = np.flatnonzero(_doubtful(seen, fits)[poor])
         if still.size:  # start again, elsewhere
             rows = poor[still]
             seen = seen.with_rows(rows, whole.take(rows))
             fits.replace_where(rows, first.take(still), np.ones(len(rows), dtype=bool))
             retry_from_subsets(seen, fits, rows, shapes, ground)
-            seen, margin[rows] = without_hidden(camera, seen, fits, rows, cut[rows], shapes, ground)
+            seen, margin[rows] = without_hidden(seen, fits, rows, cut[rows], shapes, ground)
             seen = retry_exchanged(seen, whole.take(rows), fits, rows, shapes, ground, exchanged)
-    return _to_poses(camera, seen, fits, shapes, ground, exchanged, margin < POSE_SEARCH.rival_gap, cut)
+    return _to_poses(seen, fits, shapes, ground, exchanged, margin < POSE_SEARCH.rival_gap, cut)
 
 
 def _doubtful(seen: Observed, fits: Fits) -> NDArray[np.bool_]:
@@ -227,7 +263,6 @@ def _doubtful(seen: Observed, fits: Fits) -> NDArray[np.bool_]:
 
 
 def _to_poses(
-    camera: Camera,
     seen: Observed,
     fits: Fits,
     shapes: Shapes,
@@ -246,12 +281,13 @@ def _to_poses(
     T = np.tile(np.eye(4), (len(used), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = fits.R[:, 0], fits.p[:, 0]
     if ground is None:  # the fit is in the camera's frame
-        to_world = np.linalg.inv(camera.T_camera_world)
+        to_world = np.linalg.inv(seen.world_to_camera)
         T = to_world @ T
-        turn = np.eye(4)
-        turn[:3, :3] = to_world[:3, :3]
-        covariance = turn @ covariance @ turn.T
+        turn = np.tile(np.eye(4), (len(T), 1, 1))
+        turn[:, :3, :3] = to_world[:, :3, :3]
+        covariance = turn @ covariance @ np.swapaxes(turn, -1, -2)
     kind = fits.kind[:, 0]
+    ahead = np.einsum("ni,ni->n", seen.eye - T[:, :3, 3], T[:, :3, 0])  # metres from the middle to the camera, forward
     rows = shapes.mean[kind] + np.einsum("nm,nmki->nki", fits.a[:, 0], shapes.directions[kind])
     misses = np.where(used, squared * fits.variance[:, 0], 0.0).sum(axis=1)
     return Poses(
@@ -262,18 +298,18 @@ def _to_poses(
         types=tuple(shapes.types[k] for k in kind),
         used=used,
         rms_px=np.sqrt(misses / np.maximum(1, agreeing)),
-        refusal=_refusals(camera, seen, fits, T, covariance, agreeing, FEWEST_KEYPOINTS[ground is not None]),
+        refusal=_refusals(seen, fits, T, covariance, agreeing, FEWEST_KEYPOINTS[ground is not None]),
         flags=tuple(
-            (*_doubts(camera, seen, fits, T[i], i, exchanged.get(i), bool(doubted[i])), *(["cut"] if cut[i] else []))
+            (*_doubts(ahead[i], seen, fits, i, exchanged.get(i), bool(doubted[i])), *(["cut"] if cut[i] else []))
             for i in range(len(T))
         ),
     )
 
 
 def _refusals(
-    camera: Camera, seen: Observed, fits: Fits, T: Array, covariance: Array, agreeing: Array, fewest: int
+    seen: Observed, fits: Fits, T: Array, covariance: Array, agreeing: Array, fewest: int
 ) -> tuple[str | None, ...]:
-    distance = np.linalg.norm(T[:, :3, 3] - camera.position, axis=1)
+    distance = np.linalg.norm(T[:, :3, 3] - seen.eye, axis=1)
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[:, :3, :3])[:, -1], 0))
     unsure = (spread > np.maximum(1.0, POSE_LIMITS.distance_share * distance)) | (
         covariance[:, 3, 3] > POSE_LIMITS.heading_rad**2
@@ -289,13 +325,10 @@ def _refusals(
     return tuple((*REJECTION_REASONS, None)[i] for i in found.argmax(axis=0))
 
 
-def _doubts(
-    camera: Camera, seen: Observed, fits: Fits, T: Array, i: int, exchanged: str | None, doubted: bool
-) -> tuple[str, ...]:
+def _doubts(ahead: float, seen: Observed, fits: Fits, i: int, exchanged: str | None, doubted: bool) -> tuple[str, ...]:
     agree = (fits.squared[i, 0] <= INLIER_VARIANCES) & seen.counted[i]
     forward = fits.R[i, :, :, 0]
     elsewhere = forward @ forward[0] < math.cos(0.5)
-    ahead = float((camera.position - T[:3, 3]) @ T[:3, 0])
     shown = float(seen.probability[i, _FRONT_LAMPS].mean() - seen.probability[i, _REAR_LAMPS].mean())
     doubts = {
         "outliers": agree.sum() < POSE_LIMITS.retry_agreement * seen.counted[i].sum(),

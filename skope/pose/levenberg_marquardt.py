@@ -129,7 +129,7 @@ class _Problem:
     def __init__(self, seen: Observed, shapes: Shapes, ground: Ground | None, kind: NDArray[np.intp]) -> None:
         self._kind, self._ground = kind, ground
         # Without a ground, the camera's frame is the world.
-        self._T = np.eye(4) if ground is None else seen.T_camera_world
+        self._T = np.tile(np.eye(4), (len(kind), 1, 1)) if ground is None else seen.world_to_camera  # (B, 4, 4)
         most = max(1, int(seen.count.max(initial=1)))
         # The keypoints that count come first; the first k columns hold all of them.
         self._which = np.argsort(~seen.counted, axis=1, kind="stable")[:, :most]  # (B, k)
@@ -137,9 +137,9 @@ class _Problem:
         self._counted = seen.counted[row, self._which]
         self._xy = seen.xy[row, self._which]
         self._measured = seen.variance[row, self._which]  # pixels^2, of the measurement
-        self._focal = seen.focal
+        self._focal = seen.focal  # (B, 2)
         # Variance of residuals outside the shape space: at a depth of 1 m, pixels^2.
-        self._rest = (seen.focal.mean() * shapes.rest[kind[:, None], self._which]) ** 2
+        self._rest = (seen.focal.mean(axis=1)[:, None] * shapes.rest[kind[:, None], self._which]) ** 2
         self._mean = shapes.mean[kind[:, None], self._which]  # (B, k, 3)
         self._directions = np.moveaxis(shapes.directions, 1, -1)[kind[:, None], self._which]  # (B, k, 3, M)
 
@@ -194,8 +194,8 @@ class _Problem:
         if len(rows) == len(self._kind):
             return self
         out = object.__new__(_Problem)
-        out._ground, out._T, out._focal = self._ground, self._T, self._focal
-        for name in ("_kind", "_which", "_counted", "_xy", "_measured", "_rest", "_mean", "_directions"):
+        out._ground = self._ground
+        for name in vars(self).keys() - {"_ground"}:
             setattr(out, name, getattr(self, name)[rows])
         return out
 
@@ -207,20 +207,20 @@ class _Problem:
         """
         # Keypoints in the vehicle frame, in the world and in the camera frame.
         body = self._mean + np.einsum("bkim,bm->bki", self._directions, a)
+        Rc = self._T[:, :3, :3]
         world = body @ np.swapaxes(R, -1, -2) + p[:, None]
-        x, y, z = np.moveaxis(world @ self._T[:3, :3].T + self._T[:3, 3], -1, 0)
+        x, y, z = np.moveaxis(world @ np.swapaxes(Rc, -1, -2) + self._T[:, None, :3, 3], -1, 0)
         # Residuals in the image, pixels, and their weights (Cauchy's distribution).
         front = z > KEYPOINT_WEIGHTS.nearest_m
         near = np.where(front, z, KEYPOINT_WEIGHTS.nearest_m)
-        fx, fy = self._focal
+        fx, fy = self._focal[:, :1], self._focal[:, 1:]
         away = np.stack([fx * (x / near - self._xy[..., 0]), fy * (y / near - self._xy[..., 1])], axis=-1)
         variance = self._measured + self._rest / near**2
         squared = np.where(front, (away**2).sum(axis=-1) / variance, OPTIMISER_LIMITS.behind_cost)
         weight = np.where(front & self._counted, observations.weight(squared) / variance, 0.0)
         # Derivatives of the two image coordinates by a shift along the world's axes, then along the vehicle's.
-        Rc = self._T[:3, :3]
-        by_x = (fx / near)[..., None] * (Rc[0] - (x / near)[..., None] * Rc[2])
-        by_y = (fy / near)[..., None] * (Rc[1] - (y / near)[..., None] * Rc[2])
+        by_x = (fx / near)[..., None] * (Rc[:, None, 0] - (x / near)[..., None] * Rc[:, None, 2])
+        by_y = (fy / near)[..., None] * (Rc[:, None, 1] - (y / near)[..., None] * Rc[:, None, 2])
         by_world = np.stack([by_x, by_y], axis=-2)  # (B, k, 2, 3)
         by_body = by_world @ R[:, None]
         # The whole Jacobian (B, k, 2, 6 + M): by shift, by turn about the vehicle's axes, by the shape's numbers.

@@ -42,12 +42,13 @@ def weight(squared: Array) -> Array:
     return np.asarray(1 / (1 + squared / KEYPOINT_WEIGHTS.tail_variances))
 
 
-_PER_VEHICLE: Final = ("xy", "variance", "counted", "probability")
+_PER_KEYPOINT: Final = ("xy", "variance", "counted", "probability")
+_PER_VEHICLE: Final = (*_PER_KEYPOINT, "camera_index")
 
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """Keypoints of N vehicles in images of one camera."""
+    """Keypoints of N vehicles in one or more images, each with its own camera."""
 
     xy: Array
     """(N, 33, 2) x / z and y / z in the camera frame."""
@@ -57,10 +58,24 @@ class Observed:
     """(N, 33) whether a keypoint counts."""
     probability: Array
     """(N, 33) probability that the keypoint is correct, 0 to 1."""
-    focal: Array
-    """(2,) fx, fy, pixels."""
-    T_camera_world: Array
-    """(4, 4) from the world's axes to the camera's."""
+    camera_index: NDArray[np.intp]
+    """(N,) index in `cameras` of each vehicle's camera."""
+    cameras: tuple[Camera, ...]
+
+    @property
+    def focal(self) -> Array:
+        """(N, 2) fx, fy, pixels."""
+        return np.array([[camera.K[0, 0], camera.K[1, 1]] for camera in self.cameras]).reshape(-1, 2)[self.camera_index]
+
+    @property
+    def world_to_camera(self) -> Array:
+        """(N, 4, 4) T_camera_world of each vehicle's camera."""
+        return np.array([camera.T_camera_world for camera in self.cameras]).reshape(-1, 4, 4)[self.camera_index]
+
+    @property
+    def eye(self) -> Array:
+        """(N, 3) positions of the cameras in the world, metres."""
+        return np.array([camera.position for camera in self.cameras]).reshape(-1, 3)[self.camera_index]
 
     @property
     def count(self) -> NDArray[np.intp]:
@@ -75,13 +90,21 @@ class Observed:
     def relabelled(self, order: Sequence[int]) -> Self:
         """Return the vehicles with renamed keypoints: keypoint `i` gets the position of keypoint `order[i]`."""
         index = list(order)
-        parts = {name: getattr(self, name)[:, index] for name in _PER_VEHICLE}
+        parts = {name: getattr(self, name)[:, index] for name in _PER_KEYPOINT}
         return replace(self, **parts)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Return the vehicles of several images, in their order."""
+        values = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _PER_KEYPOINT}
+        first = np.cumsum([0, *(len(part.cameras) for part in parts)])
+        index = np.concatenate([part.camera_index + shift for part, shift in zip(parts, first, strict=False)])
+        return cls(**values, camera_index=index, cameras=tuple(camera for part in parts for camera in part.cameras))
 
     def with_rows(self, rows: NDArray[np.intp], other: "Observed") -> Self:
         """Return a copy in which the vehicles `rows` are replaced by those of `other`."""
         parts = {}
-        for name in _PER_VEHICLE:
+        for name in _PER_KEYPOINT:
             parts[name] = getattr(self, name).copy()
             parts[name][rows] = getattr(other, name)
         return replace(self, **parts)
@@ -95,7 +118,7 @@ class Observed:
         """Return (N,) whether the counted keypoints lie on one line, within their errors."""
         weight = self.counted / np.maximum(self.count, 1)[:, None]
         middle = np.einsum("nk,nki->ni", weight, self.xy)
-        away = (self.xy - middle[:, None]) * self.focal
+        away = (self.xy - middle[:, None]) * self.focal[:, None]
         scatter = np.linalg.eigvalsh(np.einsum("nk,nki,nkj->nij", weight, away, away))
         return np.asarray(scatter[:, 0] < KEYPOINT_WEIGHTS.thinness**2 * scatter[:, 1] + 1e-9)
 
@@ -128,4 +151,4 @@ def observe(camera: Camera, found: Array, sigma: Array) -> Observed:
         / np.clip(probability, KEYPOINT_WEIGHTS.least_probability, 1.0)
     )
     assert xy.shape[1] == keypoints.K
-    return Observed(xy, variance, counted, np.clip(probability, 0, 1), focal, camera.T_camera_world)
+    return Observed(xy, variance, counted, np.clip(probability, 0, 1), np.zeros(len(xy), dtype=np.intp), (camera,))

@@ -21,7 +21,7 @@ from skope.files.progress import Progress
 from skope.metrics.thresholds import KEPT_SCORE
 from skope.pose.camera_error import with_camera_error
 from skope.pose.keypoint_views import Scene
-from skope.pose.pose_records import INTERPOLATED_REASON, Located, locate_view, records, write_poses
+from skope.pose.pose_records import INTERPOLATED_REASON, Located, locate_views, records, write_poses
 from skope.schema import Annotation, Box3D
 from skope.terminal.console import Console, text_table
 from skope.types import Array
@@ -92,11 +92,10 @@ def measure_poses(
         sigma_px: Standard deviation of a keypoint for the pose search, pixels; None as in `Scene.views`.
     """
     rows: list[tuple[float, ...]] = []
-    for view in scene.views(score=score, noise=noise, sigma_px=sigma_px):
-        located = locate_view(view, scene)
+    for located in locate_views(scene.views(score=score, noise=noise, sigma_px=sigma_px), scene):
         rows += [
             _row(located, i, truth)
-            for i, truth in enumerate(view.truth)
+            for i, truth in enumerate(located.view.truth)
             if truth is not None and truth.box_3d is not None
         ]
     return PoseErrors(*np.array(rows, dtype=np.float64).reshape(-1, len(fields(PoseErrors))).T)
@@ -219,8 +218,8 @@ def locate_footage(job: PoseJob, console: Console) -> Iterator[str]:
     with console.bar(total=len(scene.file.images), unit="image", label="poses") as bar:
         bar.update(progress.count)
         views = scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise[0])
-        for view in itertools.islice(views, progress.count, None):
-            progress.add({"rows": list(records(_with_camera_error(locate_view(view, scene), scene)))})
+        for located in locate_views(itertools.islice(views, progress.count, None), scene):
+            progress.add({"rows": list(records(_with_camera_error(located, scene)))})
             bar.update()
     reasons = Counter[str | None]()
 

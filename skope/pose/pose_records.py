@@ -16,7 +16,7 @@ from skope.files.atomic import replacing
 from skope.files.csv_files import write_csv
 from skope.keypoints import WHEELS
 from skope.pose.camera_error import with_camera_error
-from skope.pose.estimate_pose import Poses, estimate_poses
+from skope.pose.estimate_pose import Poses, VehicleKeypoints, poses_of_images
 from skope.pose.keypoint_views import Scene, View
 from skope.types import Array
 
@@ -41,22 +41,31 @@ class Located:
         return np.array([reason is None for reason in self.poses.refusal], dtype=bool)
 
 
+IMAGES_AT_ONCE: Final = 10
+"""Number of images whose poses are estimated together. More take more memory, and little less time."""
+
+
+def locate_views(views: Iterable[View], scene: Scene) -> Iterator[Located]:
+    """Estimate the poses of the vehicles in images of a scene. Interpolated vehicles, and those in images after the
+    camera was moved, have none."""
+    by_road = itertools.groupby(views, lambda view: scene.road_in(view.image))
+    for road, group in by_road:
+        while some := list(itertools.islice(group, IMAGES_AT_ONCE)):
+            found = [~view.interpolated & (not scene.moved_in(view.image)) for view in some]
+            inputs = [
+                VehicleKeypoints(scene.camera_in(view.image), view.found[rows], view.sigma_px[rows], view.cut[rows])
+                for view, rows in zip(some, found, strict=True)
+            ]
+            for view, rows, given, poses in zip(some, found, inputs, poses_of_images(inputs, road), strict=True):
+                # Unlike the calibration's error, this one is independent from frame to frame and affects the tracker.
+                certain = with_camera_error(poses, scene.shake_in(view.image), road)
+                reason = MOVED_REASON if scene.moved_in(view.image) else INTERPOLATED_REASON
+                yield Located(view, given.camera, certain if rows.all() else certain.among(rows, reason))
+
+
 def locate_view(view: View, scene: Scene) -> Located:
-    """Estimate the poses of the vehicles in one image of a scene. Interpolated vehicles, and those in images after
-    the camera was moved, have none."""
-    image = view.image
-    camera, found = scene.camera_in(image), ~view.interpolated
-    moved = scene.moved_in(image)
-    if moved:
-        found = np.zeros_like(found)
-    poses = estimate_poses(
-        camera, view.found[found], sigma_px=view.sigma_px[found], ground=scene.road_in(view.image), cut=view.cut[found]
-    )
-    # Unlike the calibration's error, this one is independent from frame to frame and affects the tracker.
-    poses = with_camera_error(poses, scene.shake_in(image), scene.road_in(image))
-    return Located(
-        view, camera, poses if found.all() else poses.among(found, MOVED_REASON if moved else INTERPOLATED_REASON)
-    )
+    """Estimate the poses of the vehicles in one image of a scene, as `locate_views` does."""
+    return next(locate_views([view], scene))
 
 
 def corners_of(T_world_vehicle: Array, size_lwh: Array) -> Array:

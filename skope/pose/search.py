@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.camera.ground_plane import Ground
-from skope.camera.model import Camera
 from skope.keypoints import FLIP, OTHER_END
 from skope.pose.fit_body_types import FEWEST_KEYPOINTS, best_types, refined, vehicle_starts
 from skope.pose.levenberg_marquardt import Fits
@@ -73,7 +72,7 @@ def retry_from_subsets(seen: Observed, fits: Fits, poor: RowNumbers, shapes: Sha
 
 
 def without_hidden(
-    camera: Camera, seen: Observed, fits: Fits, poor: RowNumbers, cut: Mask, shapes: Shapes, ground: Ground | None
+    seen: Observed, fits: Fits, poor: RowNumbers, cut: Mask, shapes: Shapes, ground: Ground | None
 ) -> tuple[Observed, Array]:
     """Fit the vehicles `poor` without the keypoints that their own bodies hide, in both orientations.
 
@@ -81,7 +80,6 @@ def without_hidden(
     `POSE_SEARCH.hidden_cost`.
 
     Args:
-        camera: The camera.
         seen: Keypoints of all vehicles.
         fits: Their fits so far; those of `poor` are replaced by better ones.
         poor: Rows of the vehicles to fit.
@@ -99,8 +97,8 @@ def without_hidden(
     for turned in (False, True):
         guess, reached = best.take(every), np.full(len(poor), np.inf)
         for attempt in range(POSE_SEARCH.hidden_rounds):
-            shown = _shown(camera, guess, shapes, ground, turned=turned and not attempt)
-            shown &= _inside(camera, guess, shapes, ground) | ~cut[:, None]
+            shown = _shown(some, guess, shapes, ground, turned=turned and not attempt)
+            shown &= _inside(some, guess, shapes, ground) | ~cut[:, None]
             enough = (some.counted & shown).sum(axis=1) >= FEWEST_KEYPOINTS[ground is not None]
             tried = replace(some, counted=some.counted & (shown | ~enough[:, None]))
             guess = best_types(tried, shapes, ground)
@@ -121,21 +119,25 @@ def _opposite(first: Fits, second: Fits) -> Mask:
     return np.asarray(np.einsum("ni,ni->n", first.R[:, 0, :, 0], second.R[:, 0, :, 0]) < 0)
 
 
-def _shown(camera: Camera, fits: Fits, shapes: Shapes, ground: Ground | None, *, turned: bool) -> Mask:
+def _shown(seen: Observed, fits: Fits, shapes: Shapes, ground: Ground | None, *, turned: bool) -> Mask:
     """Return (N, 33) whether the best fit's body leaves a keypoint visible; with `turned`, for the opposite heading."""
     R, p, kind = fits.R[:, 0], fits.p[:, 0], fits.kind[:, 0]
     if turned:
         R = R * np.array([-1.0, -1.0, 1.0])
-    eye = (np.zeros(3) if ground is None else camera.position) - p
+    eye = (np.zeros(3) if ground is None else seen.eye) - p
     return facing(shapes, kind, shapes.mean[kind, :-1], np.einsum("nij,ni->nj", R, eye))
 
 
-def _inside(camera: Camera, fits: Fits, shapes: Shapes, ground: Ground | None) -> Mask:
+def _inside(seen: Observed, fits: Fits, shapes: Shapes, ground: Ground | None) -> Mask:
     """Return (N, 33) whether the best fit puts a keypoint inside the image."""
     points = np.einsum("nij,nkj->nki", fits.R[:, 0], shapes.mean[fits.kind[:, 0], :-1]) + fits.p[:, 0, None]
-    from_here = camera if ground is not None else replace(camera, T_camera_world=np.eye(4))
-    pixels, _, valid = from_here.project(points.reshape(-1, 3))
-    return np.asarray(valid & from_here.inside(pixels)).reshape(points.shape[:2])
+    inside = np.zeros(points.shape[:2], dtype=bool)
+    for index in np.unique(seen.camera_index):
+        camera, rows = seen.cameras[index], seen.camera_index == index
+        from_here = camera if ground is not None else replace(camera, T_camera_world=np.eye(4))
+        pixels, _, valid = from_here.project(points[rows].reshape(-1, 3))
+        inside[rows] = (valid & from_here.inside(pixels)).reshape(-1, points.shape[1])
+    return inside
 
 
 def retry_exchanged(

@@ -18,7 +18,7 @@ from skope.files.atomic import replacing, write_bytes, write_text
 from skope.files.json_files import json_bytes
 from skope.files.progress import Progress
 from skope.pose.keypoint_views import Scene
-from skope.pose.pose_records import locate_view
+from skope.pose.pose_records import locate_views
 from skope.schema import CATEGORY_NAMES, VEHICLE_CATEGORY, Labelled
 from skope.terminal.console import Console, counted
 from skope.tracking import birdseye, birdseye_video, camera_picture
@@ -244,15 +244,19 @@ def _seen(job: TrackJob, progress: Progress, rejections: Counter[str]) -> Iterat
 
     `rejections` counts the reasons why vehicles have no pose.
     """
-    earlier = itertools.islice(progress.rows(), progress.count)
-    for view in job.scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise):
-        if (row := next(earlier, None)) is not None:
-            found = [detection_from_dict(entry) for entry in row["sights"]]
-        else:
-            found = detections_of(locate_view(view, job.scene), linked=job.scene.file.info.get(FOLLOWED_KEY) is True)
-            progress.add({"sights": [detection_to_dict(detection) for detection in found]})
+    linked = job.scene.file.info.get(FOLLOWED_KEY) is True
+
+    def counted_rejections(found: list[Detection]) -> list[Detection]:
         rejections.update(detection.refused for detection in found if detection.refused)
-        yield found
+        return found
+
+    for row in itertools.islice(progress.rows(), progress.count):
+        yield counted_rejections([detection_from_dict(entry) for entry in row["sights"]])
+    views = job.scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise)
+    for located in locate_views(itertools.islice(views, progress.count, None), job.scene):
+        found = detections_of(located, linked=linked)
+        progress.add({"sights": [detection_to_dict(detection) for detection in found]})
+        yield counted_rejections(found)
 
 
 def times_of(scene: Scene, fps: float | None) -> list[float]:

@@ -313,3 +313,33 @@ def test_the_pose_of_a_vehicle_does_not_depend_on_the_others() -> None:
     assert [pose.refusal[0] for pose in alone] == list(together.refusal)
     assert [pose.flags[0] for pose in alone] == list(together.flags)
     assert np.concatenate([pose.position for pose in alone]) == pytest.approx(together.position, abs=1e-6, nan_ok=True)
+
+
+@pytest.mark.parametrize("ground", [Ground(), Ground(slope=(0.02, -0.01)), None], ids=["level", "slope", "unknown"])
+def test_images_of_different_cameras_have_the_same_poses_together_and_alone(ground: Ground | None) -> None:
+    rng = np.random.default_rng(9)
+    moved = replace(
+        CAMERA,
+        T_camera_world=CAMERA.T_camera_world @ np.array([[1, 0, 0, 3.0], [0, 1, 0, -2], [0, 0, 1, 1], [0, 0, 0, 1]]),
+    )
+    longer = replace(CAMERA, K=CAMERA.K * [[1.3], [1.25], [1.0]])
+    bent = replace(CAMERA, distortion=Distortion("brown", (-0.12, 0.01, 0.001, -0.001)))
+    images = []
+    for number, camera in enumerate((CAMERA, longer, bent, moved)):
+        found = scene(drawn(6, number), rng, noise=2, camera=camera if number < 3 else CAMERA).found
+        found[..., :2] += (rng.random(found.shape[:2]) < 0.4)[..., None] * rng.normal(0, 60, (*found.shape[:2], 2))
+        sigma, cut = np.full(len(found), 1.0 + number), rng.random(len(found)) < 0.5
+        images.append(estimate_pose.VehicleKeypoints(camera, found, sigma, cut))
+    images.insert(
+        2, replace(images[0], points=np.zeros((0, keypoints.K, 3)), sigma_px=np.zeros(0), cut=np.zeros(0, bool))
+    )
+    together = estimate_pose.poses_of_images(images, ground)
+    assert [len(poses) for poses in together] == [6, 6, 0, 6, 6]
+    for image, poses in zip(images, together, strict=True):
+        alone = estimate_pose.estimate_poses(
+            image.camera, image.points, sigma_px=image.sigma_px, ground=ground, cut=image.cut
+        )
+        assert alone.refusal == poses.refusal
+        assert alone.flags == poses.flags
+        assert poses.T_world_vehicle == pytest.approx(alone.T_world_vehicle, abs=1e-6, nan_ok=True)
+        assert poses.covariance == pytest.approx(alone.covariance, rel=1e-4, abs=1e-9, nan_ok=True)

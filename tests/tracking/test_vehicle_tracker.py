@@ -1,5 +1,6 @@
 """Tracks at any frame rate, of any length: what is followed under one name, how exactly, and in how much memory."""
 
+import itertools
 import json
 import math
 import tracemalloc
@@ -260,21 +261,23 @@ def test_a_killed_run_goes_on_after_the_poses_it_has(skope: Any, monkeypatch: py
     call = ("eval", "track", "--annotations", "road.json", "--noise", 1, "-q")
     assert skope(*call, "--out", "whole")[0] == 0
     located: list[int] = []
-    locate_view = track_footage.locate_view
+    locate_views = track_footage.locate_views
 
-    def dies(view: Any, scene: Any) -> Any:
-        if len(located) == 8:
-            raise KeyboardInterrupt
-        located.append(view.image.id)
-        return locate_view(view, scene)
+    def noted(views: Any, scene: Any) -> Any:
+        for view in locate_views(views, scene):
+            located.append(view.view.image.id)
+            yield view
+
+    def dies(views: Any, scene: Any) -> Any:
+        yield from itertools.islice(noted(views, scene), 8)
+        raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(track_footage, "locate_view", dies)
+        patch.setattr(track_footage, "locate_views", dies)
         assert skope(*call, "--out", "parts")[0] == 130
+    assert located == list(range(1, 9))
     located.clear()
-    monkeypatch.setattr(
-        track_footage, "locate_view", lambda view, scene: located.append(view.image.id) or locate_view(view, scene)
-    )
+    monkeypatch.setattr(track_footage, "locate_views", noted)
     assert skope(*call, "--out", "parts")[0] == 0
     assert located == list(range(9, 21))
     for name in ("tracks.csv", "mot.txt", "fcd.xml"):

@@ -1,6 +1,7 @@
 """Footage in, vehicles in metres out: the commands `predict`, `pose`, `track` and `camera`."""
 
 import csv
+import itertools
 import json
 import math
 import re
@@ -995,17 +996,14 @@ def test_a_stopped_run_of_poses_goes_on_to_the_same_bytes(skope: Any, monkeypatc
     coco.write(Path("road.json"), drive(1, 5, speeds=(8.0, 3.0)))
     call = ("eval", "pose", "--annotations", "road.json", "--noise", 1, "-q")
     assert skope(*call, "--out", "whole")[0] == 0
-    located: list[int] = []
-    real = pose_footage.locate_view
+    real = pose_footage.locate_views
 
-    def stops(view: Any, scene: Any) -> Any:
-        located.append(view.image.id)
-        if len(located) == 3:
-            raise KeyboardInterrupt
-        return real(view, scene)
+    def stops(views: Any, scene: Any) -> Any:
+        yield from itertools.islice(real(views, scene), 2)
+        raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(pose_footage, "locate_view", stops)
+        patch.setattr(pose_footage, "locate_views", stops)
         assert skope(*call, "--out", "stopped")[0] != 0
     code, out, error = skope("eval", "pose", "--annotations", "road.json", "--noise", 1, "--out", "stopped")
     assert code == 0, error
