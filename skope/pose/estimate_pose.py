@@ -45,8 +45,8 @@ the camera; a vehicle that is only partly in the image."""
 class PoseLimits:
     """Limits for accepting poses."""
 
-    chunk_vehicles: int = 128
-    """Number of vehicles that are computed together. It limits memory."""
+    chunk_vehicles: int = 80
+    """Approximate number of vehicles that are computed together. Arrays of more do not fit into the processor's cache."""
     agreement: float = 0.4
     """Minimum share of the keypoints that must agree with a pose. Detectors trained on visible keypoints only put the
     hidden half anywhere, with a high score."""
@@ -223,9 +223,9 @@ def poses_of_images(
         return [poses.moved(ground.T_world_level) for poses in poses_of_images(level, flat, space)]
     seen = Observed.joined([observe(image.camera, image.points, image.sigma_px) for image in images])
     cut = np.concatenate([image.cut for image in images])
-    rows = np.arange(len(cut))
-    parts = [rows[i : i + POSE_LIMITS.chunk_vehicles] for i in range(0, len(rows), POSE_LIMITS.chunk_vehicles)]
-    together = _joined([_locate_chunk(seen.take(part), cut[part], ground, space) for part in parts]).without_rejected()
+    parts = np.array_split(np.arange(len(cut)), max(1, round(len(cut) / POSE_LIMITS.chunk_vehicles)))
+    chunks = [_locate_chunk(seen.take(part), cut[part], ground, space) for part in parts if part.size]
+    together = _joined(chunks).without_rejected()
     ends = np.cumsum([0, *(len(image.points) for image in images)]).tolist()
     return [together.part(slice(first, last)) for first, last in itertools.pairwise(ends)]
 

@@ -16,7 +16,7 @@ from skope.files.atomic import replacing
 from skope.files.csv_files import write_csv
 from skope.keypoints import WHEELS
 from skope.pose.camera_error import with_camera_error
-from skope.pose.estimate_pose import Poses, VehicleKeypoints, poses_of_images
+from skope.pose.estimate_pose import POSE_LIMITS, Poses, VehicleKeypoints, poses_of_images
 from skope.pose.keypoint_views import Scene, View
 from skope.types import Array
 
@@ -41,16 +41,15 @@ class Located:
         return np.array([reason is None for reason in self.poses.refusal], dtype=bool)
 
 
-IMAGES_AT_ONCE: Final = 10
-"""Number of images whose poses are estimated together. More take more memory, and little less time."""
+MOST_IMAGES: Final = 50
+"""Maximum number of images whose poses are estimated together."""
 
 
 def locate_views(views: Iterable[View], scene: Scene) -> Iterator[Located]:
     """Estimate the poses of the vehicles in images of a scene. Interpolated vehicles, and those in images after the
     camera was moved, have none."""
-    by_road = itertools.groupby(views, lambda view: scene.road_in(view.image))
-    for road, group in by_road:
-        while some := list(itertools.islice(group, IMAGES_AT_ONCE)):
+    for road, group in itertools.groupby(views, lambda view: scene.road_in(view.image)):
+        for some in _batches(group):
             found = [~view.interpolated & (not scene.moved_in(view.image)) for view in some]
             inputs = [
                 VehicleKeypoints(scene.camera_in(view.image), view.found[rows], view.sigma_px[rows], view.cut[rows])
@@ -61,6 +60,19 @@ def locate_views(views: Iterable[View], scene: Scene) -> Iterator[Located]:
                 certain = with_camera_error(poses, scene.shake_in(view.image), road)
                 reason = MOVED_REASON if scene.moved_in(view.image) else INTERPOLATED_REASON
                 yield Located(view, given.camera, certain if rows.all() else certain.among(rows, reason))
+
+
+def _batches(views: Iterable[View]) -> Iterator[list[View]]:
+    """Yield consecutive images that together have about as many vehicles as are computed together."""
+    some, vehicles = list[View](), 0
+    for view in views:
+        some.append(view)
+        vehicles += int((~view.interpolated).sum())
+        if vehicles >= POSE_LIMITS.chunk_vehicles or len(some) == MOST_IMAGES:
+            yield some
+            some, vehicles = [], 0
+    if some:
+        yield some
 
 
 def locate_view(view: View, scene: Scene) -> Located:
