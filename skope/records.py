@@ -388,7 +388,7 @@ class TomlTable:
         return float(value)
 
     def numbers(self, key: str, count: int) -> tuple[float, ...]:
-        """Return a list of `count` numbers."""
+        """Return `count` numbers. Raises UserError if there are more or fewer, or one is no number."""
         value = self.value(key)
         if not isinstance(value, list) or len(value) != count:
             raise self.wrong(key, f"expected {count} numbers, got {shown(value)}" if key in self else "missing")

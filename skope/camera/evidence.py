@@ -53,7 +53,7 @@ class MarkedPoint:
 
 @dataclass(frozen=True, eq=False)
 class MarkedLength:
-    """Known distance along the road, for example the length of a marking or the width of a lane."""
+    """Known distance between two points on the road, for example the length of a marking or the width of a lane."""
 
     pixels: Array
     """(2, 2) end points, pixels."""

@@ -49,7 +49,8 @@ class UncertainCamera:
 
     camera: Camera
     parameters: tuple[str, ...]
-    """Names in `CAMERA_PARAMETERS` that are uncertain. Without points, the world's origin is under the camera and x
+    """Names of the uncertain parameters, from `CAMERA_PARAMETERS`. Without points, the world's origin is under the
+    camera and x
     points ahead of it."""
     covariance: Array
     """(P, P) covariance of `parameters`, in their units."""

@@ -60,7 +60,7 @@ class WeightedFit:
     blocks: tuple[Array, ...] = ()
     """The residuals of each piece of evidence."""
     log_weights: float = 0.0
-    """Logarithm of the product of all weights: half that of the determinant of the evidence's inverse covariance."""
+    """Logarithm of the product of all weights: half the log determinant of the evidence's inverse covariance."""
 
     def covariance(self, scales: Array) -> Array:
         """Return the covariance (P, P) of the unknown parameters, for a linear model.

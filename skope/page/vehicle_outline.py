@@ -51,7 +51,8 @@ class Point:
     """Keypoint of the outline."""
 
     share: float | None
-    """Share from 0 to 1, drawn in per cent; None if it is not available."""
+    """Value of the keypoint from 0 to 1, for example its share of correct detections; drawn in per cent. None: not
+    available."""
     tip: str
     """Tooltip text after the keypoint's name."""
     cells: Sequence[str]

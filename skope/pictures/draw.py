@@ -247,7 +247,8 @@ def masks(image: Pixels, vehicles: Iterable[Labelled], *, strength: float = 0.45
 
 
 def depth(metres: NDArray[np.float32], *, near: float = 4.0) -> Pixels:
-    """Return (H, W) metres as colours by distance, red at `near` to blue far away; dark sky. Raises UserError."""
+    """Return a picture of (H, W) distances, metres: red at `near`, blue far away, dark where not finite (sky). Raises
+    UserError."""
     if metres.ndim != 2 or not metres.size or metres.dtype.kind != "f":
         raise UserError(
             f"metres: expected (H, W) numbers of a floating type, got {metres.shape} of type {metres.dtype}"

@@ -46,7 +46,7 @@ class PoseLimits:
     """Limits for accepting poses."""
 
     chunk_vehicles: int = 80
-    """Approximate number of vehicles that are computed together. Arrays of more do not fit into the processor's cache."""
+    """Approximate number of vehicles that are computed together. More do not fit into the processor's cache."""
     agreement: float = 0.4
     """Minimum share of the keypoints that must agree with a pose. Detectors trained on visible keypoints only put the
     hidden half anywhere, with a high score."""

@@ -145,7 +145,7 @@ class Track:
 
     @cached_property
     def position_sigma(self) -> Array:
-        """(M,) standard deviation of the position in its worst direction for a known camera, metres."""
+        """(M,) standard deviation of the position in its worst direction, metres, without the camera's error."""
         return worst_sigma(self.total_covariance)
 
     @cached_property

@@ -36,8 +36,8 @@ class SpeedModel:
     least_ratio: float = 0.5
     """Minimum ratio of true to measured variance. Below it v15 and v85 are not available."""
     shape_sigma: float = 0.15
-    """Standard deviation of the error if speeds are not normally distributed, as a share of the spread that is
-    removed. From simulations with skewed speeds."""
+    """Error of the correction of v15 and v85 for measurement noise, as a share of the removed noise: speeds are not
+    normally distributed. From simulations with skewed speeds."""
     step_m: float = 1.0
     """Minimum step for measuring path lengths, metres. Shorter steps would add up the jitter of positions."""
 

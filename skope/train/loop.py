@@ -53,7 +53,7 @@ class TrainingIntervals:
     least_validated: int = 4
     """Minimum number of validated images."""
     validated_part: int = 5
-    """Number of training images per validated image, for epochs over few images."""
+    """Minimum number of training images per validated image. It matters in small datasets."""
     least_inside: float = 0.8
     """Minimum share of the labelled keypoints of the first batch that must lie inside their vehicle's box."""
 

@@ -25,7 +25,7 @@ UNKNOWN_VALUE: Final = "unknown"
 
 @dataclass(frozen=True, kw_only=True)
 class Quality:
-    """Property of vehicles with few values."""
+    """Property of a vehicle that has one of a few values. The page filters vehicles by it."""
 
     name: str
     values: Sequence[str]

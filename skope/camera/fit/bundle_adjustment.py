@@ -245,7 +245,7 @@ class BundleAdjustment:
         return best
 
     def solve(self, bundle: Bundle, steps: int) -> Solved:
-        """Continue the search from a bundle for camera, offsets, shapes and positions, with fixed body types."""
+        """Improve camera, offsets, shapes and positions of a bundle in at most `steps` steps. Body types stay fixed."""
         vehicle, damping = self._views.vehicle, np.full(self._views.count, ADJUSTMENT_LIMITS.first_damping)
         counted = self._counted(bundle)
         here = self._linearised(bundle, counted)

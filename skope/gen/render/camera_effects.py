@@ -177,9 +177,10 @@ def sigma_of(conditions: Conditions) -> float:
 def hidden_below(conditions: Conditions, sigma: float | None = None) -> float:
     """Return the grey-level difference (0 to 255) that noise and compression hide.
 
-    It is the larger of two values. The first is the standard deviation of the noise. The second is the step in which
-    JPEG rounds the mean of a block of 8 x 8 pixels: 16 / 8 at quality 50, scaled as in libjpeg for other qualities. The
-    step applies to the compressed image, in which the camera has multiplied differences by its contrast.
+    It is the largest of three values: the standard deviation of the noise, that of rounding to grey levels, and the
+    step in which JPEG rounds the mean of a block of 8 x 8 pixels. The step is 16 / 8 at quality 50, scaled as in
+    libjpeg for other qualities. It is divided by `conditions.contrast`, by which the camera multiplies differences
+    before it compresses.
 
     Args:
         conditions: Conditions of the recording.

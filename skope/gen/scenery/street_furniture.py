@@ -134,7 +134,12 @@ def _draw_small_item(
 
 
 def street_light(form: str, reach: float) -> Mesh:
-    """Return a pole with a lamp at the end of a curved arm, a straight arm or two arms, or on a timber pole."""
+    """Return a street light.
+
+    Args:
+        form: `curved` (curved arm), `double` (two arms), `timber` (timber pole, straight arm); others: a straight arm.
+        reach: Length of a straight arm, metres.
+    """
     if form == "curved":
         bend = np.linspace(0, np.pi / 2, 5)
         arm = [(0.0, 0.9 * (1 - np.cos(a)), 7.1 + 0.9 * np.sin(a)) for a in bend]

@@ -263,7 +263,7 @@ class CarBody:
         return rows
 
     def w_of(self, x: float) -> float:
-        """Return the distance along the shell's outline of a position x on the side, metres."""
+        """Return the distance from the start of the shell's outline, along it, to position x on the side, metres."""
         return float(np.interp(-x, -self.outline[SIDE_START:-SIDE_START, 0], self.w[SIDE_START:-SIDE_START]))
 
     def side_y(self, x: float) -> float:

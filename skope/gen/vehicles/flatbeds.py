@@ -18,7 +18,7 @@ STRAP_COLOR: Final = "#d9641e"
 
 
 def flatbed_body(space: CargoSpace) -> Cargo:
-    """Return a platform, with low sides or without, and a load that follows from its length."""
+    """Return a platform with a load, with or without low sides. Both are random, seeded by the vehicle's length."""
     rng = space.rng()
     kinds = list(PLATFORM_LOADS)
     weights = np.array([PLATFORM_LOADS[kind][0] for kind in kinds])

@@ -245,7 +245,7 @@ class SolvedPage:
 
 @dataclass(frozen=True, eq=False)
 class GivenCamera:
-    """Camera of a file."""
+    """Camera that the page received from a file."""
 
     camera: Camera
     known: UncertainCamera | None
