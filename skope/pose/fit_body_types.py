@@ -67,12 +67,6 @@ def best_types(seen: Observed, shapes: Shapes, ground: Ground | None) -> Fits:
     return refined(seen, shapes, ground, vehicle_starts(seen, shapes, ground), np.arange(len(shapes.types)))
 
 
-def refit(seen: Observed, shapes: Shapes, ground: Ground | None, fits: Fits) -> Fits:
-    """Optimise fits again, with other keypoints than those that they were made from; best first."""
-    starts = Starts(fits.p.copy(), fits.R.copy(), fits.cost)
-    return refine(seen, shapes, ground, starts, fits.kind).ordered()
-
-
 def agreeing_share(seen: Observed, fits: Fits) -> Array:
     """Return (N,) the share of the counted keypoints that agree with the best fit."""
     agree = (fits.squared[:, 0] <= INLIER_VARIANCES) & seen.counted

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.camera.ground_plane import Ground
 from skope.keypoints import FLIP, OTHER_END
-from skope.pose.fit_body_types import FEWEST_KEYPOINTS, best_types, refined, refit, vehicle_starts
+from skope.pose.fit_body_types import FEWEST_KEYPOINTS, best_types, refined, vehicle_starts
 from skope.pose.levenberg_marquardt import Fits
 from skope.pose.observations import Observed
 from skope.pose.shape_model import Shapes, facing
@@ -101,7 +101,7 @@ def without_hidden(
             shown &= _inside(some, guess, shapes, ground) | ~cut[:, None]
             enough = (some.counted & shown).sum(axis=1) >= FEWEST_KEYPOINTS[ground is not None]
             tried = replace(some, counted=some.counted & (shown | ~enough[:, None]))
-            guess = best_types(tried, shapes, ground) if not attempt else refit(tried, shapes, ground, guess)
+            guess = best_types(tried, shapes, ground)
             whole = np.where(enough, guess.cost[:, 0] + POSE_SEARCH.hidden_cost * (some.count - tried.count), np.inf)
             reached = np.minimum(reached, np.where(_opposite(guess, best), whole, np.inf))
             wins = whole < cost
