@@ -56,9 +56,9 @@ def _try(part: str, test: Callable[[], str], remedy: str) -> PartStatus:
 
 
 def _sumo() -> str:
-    import libsumo
+    from skope.gen.traffic.sumo import load_libsumo
 
-    return str(libsumo.getVersion()[1])
+    return str(load_libsumo().getVersion()[1])
 
 
 def _pybullet() -> str:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -201,6 +201,21 @@ class _RoadBehind:
         return self._places[after - 1], self._places[after], share if share < 1.0 else 1.0
 
 
+def load_libsumo() -> Any:
+    """Return libsumo, without its warning about the version of pyarrow: skope does not use Arrow."""
+    key = "LIBSUMO_AS_TRACI"
+    before = os.environ.get(key)
+    os.environ[key] = "quiet"
+    try:
+        import libsumo
+    finally:
+        if before is None:
+            del os.environ[key]
+        else:
+            os.environ[key] = before
+    return libsumo
+
+
 class Traffic:
     """A running SUMO simulation; at most one per process. Use as a context manager."""
 
@@ -261,9 +276,7 @@ class Traffic:
         self._steps = 0
 
     def __enter__(self) -> "Traffic":
-        import libsumo
-
-        self._sumo = libsumo
+        libsumo = self._sumo = load_libsumo()
         options = {
             **SUMO_OPTIONS,
             "step-length": self._step,

@@ -1,5 +1,7 @@
 """Traffic in the towns: tyres on sloped roads, bodies where SUMO has them, vehicles that do not run into each other."""
 
+import subprocess
+import sys
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -165,3 +167,13 @@ def test_the_folder_for_temporary_files_may_have_any_name(tmp_path: Path, monkey
     (tmp_path / "a, b ü").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "a, b ü"))
     assert recorded("t01_mill_corner", frames=1).vehicles
+
+
+def test_libsumo_is_imported_without_its_words_on_pyarrow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LIBSUMO_AS_TRACI", "as before")
+    code = (
+        "import os; from skope.gen.traffic.sumo import load_libsumo; load_libsumo(); "
+        "assert os.environ['LIBSUMO_AS_TRACI'] == 'as before'"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (ran.stdout, ran.stderr) == ("", "")
