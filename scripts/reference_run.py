@@ -110,7 +110,7 @@ TRAININGS: Final = {
         calibrated=True,
     ),
     "road33": Training(after="world", stages=("1", "2", "3", "4", "6"), calibrated=True),
-    "lite": Training(stages=("lite-1", "lite-2"), calibrated=True),
+    "lite": Training(stages=("lite-1", "lite-2", "lite-3"), calibrated=True),
 }
 
 

@@ -492,10 +492,10 @@ def test_reference_learns_in_legs(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert called[-1][1:3] == ("join", str(out / "leg_6" / "state"))
     called.clear()
     options.out = tmp_path / "lite"
-    for leg in ("lite-1", "lite-2"):
+    for leg in ("lite-1", "lite-2", "lite-3"):
         (options.out / f"leg_{leg}").mkdir(parents=True)
     reference.train_in_stages(clock, options, reference.TRAININGS["lite"])
-    assert [words[2] for words in called if words[1] == "run"] == ["lite-1", "lite-2"]
+    assert [words[2] for words in called if words[1] == "run"] == ["lite-1", "lite-2", "lite-3"]
     assert not {"--init", "--state"} & set(called[0]), "the first leg begins from nothing"
 
 
