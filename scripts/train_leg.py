@@ -237,7 +237,7 @@ def train_round(
     if not resumable(run):
         note(options.out, f"round {number}", "ended before anything was saved")
         return start
-    row = write_mean(run, weights, f"round {number} of training stage {stage.name}")
+    row = write_mean(run, weights, f"training stage {stage.name} of scripts/legs.toml, round {number}")
     images = sum(len(open_dataset(folder).read("train").images) for folder in data)
     seconds = round(time.monotonic() - begun)
     visits = row["epochs"] * images + row["steps_of_the_last"] * row["batch_size"]
