@@ -63,7 +63,7 @@ def tally(matches: Matches, threshold: float, options: MetricOptions) -> ImageCo
 
     Args:
         matches: A split's ground truth and detections.
-        threshold: An IoU threshold of `matches.taken`.
+        threshold: IoU threshold, one of the keys of `matches.taken`.
         options: The rules for labelled, predicted and correct keypoints.
 
     Returns:

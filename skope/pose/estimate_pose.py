@@ -139,7 +139,7 @@ class Poses:
         )
 
     def part(self, rows: slice) -> Self:
-        """Return the consecutive vehicles `rows`."""
+        """Return the vehicles that the slice `rows` selects."""
         return replace(self, **{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
     def without_rejected(self) -> Self:

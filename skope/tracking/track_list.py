@@ -62,7 +62,7 @@ class Tracks(list[Track]):
         return self.observation.times_s
 
     def at(self, frame: int) -> tuple[TrackedRoadUser, ...]:
-        """Return the road users that are present in a frame, numbered from 0."""
+        """Return the road users that are present in a frame. The first frame has number 0."""
         return tuple(_state(track, i) for track in self if (i := _row(track, frame)) is not None)
 
     def draw(self, image: Pixels, frame: int) -> Pixels:

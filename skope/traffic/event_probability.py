@@ -138,7 +138,7 @@ def image_miss_rate_groups(vehicle_px: float | None) -> tuple[MissRateGroup, ...
 
 
 def queue_miss_rate() -> Beta:
-    """Return the share of the vehicles in a queue that is never detected."""
+    """Return the distribution of the share of queued vehicles that are never detected."""
     return _beta(rates()["metres"]["queue"]["missed"])
 
 

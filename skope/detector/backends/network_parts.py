@@ -113,7 +113,7 @@ class RegionPooling(nn.Module):
 
 
 class PyramidWithProposals(nn.Module):
-    """Replacement for the detector's backbone that stores the output of the proposals' head.
+    """Replaces the detector's backbone, and also stores the output of the proposal head (RPN).
 
     In subclasses, `forward` returns the feature maps of (N, 3, H, W) images by name.
     """

@@ -206,12 +206,11 @@ def _tested_places(annotation: Annotation) -> AnyFloats:
 
 
 def visibility_findings(depth: AnyFloats, camera: Camera, annotation: Annotation) -> Iterator[str]:
-    """Check visibility flags that no pixel near the point confirms.
+    """Report the visibility flags that no pixel near the point confirms.
 
-    The depth file is rounded and has no slope. The visibility test allows for the slope; here the spread of the
-    surrounding pixels replaces it. A point that none of these pixels hides is visible without any allowance. However,
-    the object that hides a point of a small vehicle may be smaller than a pixel. For a wheel at the image's edge, the
-    tested position is unknown.
+    The visibility test has a tolerance for the slope of the surface, which the rounded depth file does not contain.
+    Here the tolerance is the spread of the surrounding depths. A hidden point of a small vehicle is not reported,
+    because the object that hides it can be smaller than a pixel. Points at the image's edge are skipped.
     """
     assert annotation.keypoints_3d is not None
     gaps = _gaps(depth, camera, _tested_places(annotation)).reshape(-1, keypoints.K)

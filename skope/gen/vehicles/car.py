@@ -145,7 +145,7 @@ class CarBody:
         return np.asarray(line + 0.16 * (s.cowl_height - s.hood_height) * np.sin(np.pi * before))
 
     def deck(self, x: Array, y: Array) -> Array:
-        """Return the height of the body's upper surface below the windows, at positions x and y, metres."""
+        """Return the height, metres, of the body's upper surface without windows and roof, at positions x and y."""
         edge = self._deck_edge
         half, z = (np.interp(-x, -edge[:, 0], edge[:, k]) for k in (1, 2))
         return np.asarray(z + self._deck_rise(x, half, np.clip(y / np.maximum(half, 1e-9), 0, 1)))

@@ -57,9 +57,10 @@ class Follower:
     def follow(self, x: float, y: float, vehicle_yaw: float) -> None:
         """Move the hinge straight to (x, y), metres.
 
-        `vehicle_yaw` is the heading of the vehicle in front of it there, radians. The angle b between the trailer's
-        heading and the hinge's course decays on the way: db/ds = -sin(b) / axle. Therefore t = tan(b / 2) falls by
-        exp(-s / axle), and the axle rolls by the integral of cos(b). Beyond the maximum angle to the vehicle, the
+        `vehicle_yaw`, radians, is the heading of the towing vehicle when the hinge is at (x, y). Let s be the distance
+        that the hinge moves, and `axle` the distance from the hinge to the axle. The angle b between the trailer's
+        heading and the hinge's course obeys db/ds = -sin(b) / axle. Therefore t = tan(b / 2) is multiplied by
+        exp(-s / axle), and the wheels roll the integral of cos(b) over s. Beyond the maximum angle to the vehicle, the
         trailer is dragged sideways.
         """
         way, course = math.hypot(x - self._x, y - self._y), math.atan2(y - self._y, x - self._x)

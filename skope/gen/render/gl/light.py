@@ -181,7 +181,7 @@ class Stage:
         )
 
     def draw_mirrored_depth(self, target: Any, plane: Plane) -> None:
-        """Draw the depth buffer of the mirror image on the road."""
+        """Draw the depth of the scene as the wet road mirrors it."""
         self.uniforms |= uniforms_of(plane)
         parts = [(mesh, (*options, "MIRRORED")) for mesh, options in self.reflected_parts(plane)]
         P = projection(self._camera.K, (0, 0, *self._size))
