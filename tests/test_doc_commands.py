@@ -23,6 +23,7 @@ PROGRAM: Final = re.compile(
 NOT_RUN: Final = {
     r"make |pip |uv |docker ": "set skope up, which has to be done before any test; CI begins with `make lint test`",
     r"skope eval site ": "serves until it is stopped: tests/site/page",
+    r"skope eval station ": "needs recordings of a day: tests/station",
     r"pytest |\.venv/bin/": "are how tests are run",
     r"python scripts/": "test_scripts.py runs every script",
     r"torchrun ": "several processes: train/test_distributed.py",

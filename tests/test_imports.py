@@ -90,7 +90,7 @@ SHARED = (
     {"detector", "traffic", "viewer", "pose"},
     {"site.page", "tracking"},
     {"camera.fit"},
-    {"footage"},
+    {"footage", "station"},
     {"gen", "train", "eval"},
     {"api", "cli"},
     {"__init__", "__main__"},

@@ -472,7 +472,7 @@ def test_reference_learns_in_legs(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
     def script(clock: Any, *words: str) -> None:
         called.append(words)
-        if words[1] == "run" and len(called) == 3:
+        if words[1:3] == ("run", "3") and len(called) == 3:
             raise reference.TimeIsUpError
 
     monkeypatch.setattr(reference.Clock, "script", script)

@@ -4,6 +4,7 @@ from skope.eval.cli.camera import estimate_camera
 from skope.eval.cli.evaluate import calibrate_scores, compare_runs, evaluate_or_score, view
 from skope.eval.cli.predict import predict
 from skope.eval.cli.site import site
+from skope.eval.cli.station import station
 from skope.eval.cli.track import pose, track
 from skope.eval.cli.traffic import traffic
 from skope.terminal.command_options import Commands
@@ -19,3 +20,4 @@ app.command(name="traffic")(traffic)
 app.command(name="camera")(estimate_camera)
 app.command(name="view")(view)
 app.command(name="site")(site)
+app.command(name="station")(station)

@@ -1,0 +1,1 @@
+"""Traffic of several cameras in one database, day after day."""
