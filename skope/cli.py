@@ -54,7 +54,7 @@ for name, group, holds in (
         "eval",
         eval_app,
         "Measure a detector: compare, view, calibrate-scores; and traffic: predict, track, pose, traffic, camera, "
-        "site.",
+        "site, station.",
     ),
 ):
     app.add_typer(group, name=name, short_help=holds)

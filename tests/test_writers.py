@@ -224,6 +224,7 @@ READERS = {
     "gen view",
     "eval view",
     "eval site",
+    "eval station",  # a database: tests/station
     "gen vehicles list",
     "gen vehicles check",
     "gen vehicles remove",

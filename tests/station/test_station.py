@@ -263,7 +263,7 @@ def test_an_unreachable_database_is_tried_again(station: Skope, monkeypatch: pyt
             raise KeyboardInterrupt
 
     monkeypatch.setattr("skope.eval.cli.station.time.sleep", wait)
-    code, out, err = station("eval", "station", "station.toml", "--every", 5)
+    code, out, err = station("eval", "station", "station.toml", "--interval", 5)
     assert (code, waits) == (130, [5.0, 5.0])
     assert "database: gone; trying again" in err
     assert out.count("events") == 2

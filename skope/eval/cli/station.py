@@ -21,12 +21,12 @@ def station(
     ],
     *,
     once: Annotated[bool, data_option("--once", help="Measure the recordings that are there, then stop.")] = False,
-    every: Annotated[float, data_option(help="Time between two searches for new recordings, seconds.")] = 60.0,
+    interval: Annotated[float, data_option(help="Time between two searches for new recordings, seconds.")] = 60.0,
     console: Console,
 ) -> None:
     """Measure the recordings of several cameras, and keep their counts, events and speeds in a database."""
-    if every < 1:
-        raise UserError(f"--every: expected at least 1 s, got {every:g}")
+    if interval < 1:
+        raise UserError(f"--interval: expected at least 1 s, got {interval:g}")
     try:
         from skope.station.database import Database
     except ModuleNotFoundError as error:
@@ -40,7 +40,7 @@ def station(
         _work_off(work, console, once=once)
         if once:
             return
-        time.sleep(every)
+        time.sleep(interval)
 
 
 def _work_off(work: "StationWork", console: Console, *, once: bool) -> None:
