@@ -8,6 +8,7 @@ import typer
 
 from skope.errors import UserError
 from skope.eval.cli.options import data_option
+from skope.records import check_number
 from skope.terminal.command_options import FILE_METAVAR
 from skope.terminal.console import Console
 
@@ -25,8 +26,7 @@ def station(
     console: Console,
 ) -> None:
     """Measure the recordings of several cameras, and keep their counts, events and speeds in a database."""
-    if interval < 1:
-        raise UserError(f"--interval: expected at least 1 s, got {interval:g}")
+    check_number("--interval", interval, 1.0, 86400.0)
     try:
         from skope.station.database import Database
     except ModuleNotFoundError as error:
