@@ -87,7 +87,7 @@ class StationWork:
 
     def _digest(self, folders: list[Path], camera: StationCamera) -> str:
         """Return a digest of everything that determines the traffic of recordings."""
-        parts = [__version__, sha256_of(camera.site.path)]
+        parts = [__version__, camera.site_sha256]
         for file in (folder / name for folder in folders for name in (TRACKS_CSV, FOOTAGE_FILE)):
             key = (file, file.stat().st_mtime)
             if key not in self._digests:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from skope.files import safe_names
+from skope.files.atomic import sha256_of
 from skope.records import TomlTable, dataclass_of
 from skope.site.site_file import SiteFile, read_site
 
@@ -25,6 +26,8 @@ class StationCamera:
     name: str
     site: SiteFile
     """Gates, zones, lanes and settings."""
+    site_sha256: str
+    """Checksum of the site file as it was read. The file may change later."""
     tracks: Path
     """Folder of its recordings: each subfolder is an output folder of `skope eval track`. It may be missing still."""
 
@@ -62,7 +65,8 @@ def read_station(path: Path) -> Station:
 def _camera(path: Path, entry: Any, where: str) -> StationCamera:
     read = dataclass_of(_CameraEntry, entry, where)
     name = safe_names.name(f"{where}.name", read.name)
-    return StationCamera(name=name, site=read_site(path.parent / read.site), tracks=path.parent / read.tracks)
+    site = read_site(path.parent / read.site)
+    return StationCamera(name=name, site=site, site_sha256=sha256_of(site.path), tracks=path.parent / read.tracks)
 
 
 def _in_folder(address: str, folder: Path) -> str:

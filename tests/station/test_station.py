@@ -123,6 +123,16 @@ def test_a_changed_site_file_measures_all_days_again(station: Skope) -> None:
     assert rows_of("select distinct end_s - begin_s from counts") == [(300.0,)]
 
 
+def test_a_running_station_does_not_take_old_gates_for_new_ones(station: Skope) -> None:
+    read = read_station(Path("station.toml"))
+    work = StationWork(read, Database.open(read.database))
+    assert len(list(work.work_off())) == 2
+    Path("site.toml").write_text(SITE.replace("= 1\n", "= 5\n"))
+    assert list(work.work_off()) == []
+    assert station("eval", "station", "station.toml", "--once")[1].count("\n") == 2
+    assert rows_of("select distinct end_s - begin_s from counts") == [(300.0,)]
+
+
 def test_a_recording_without_a_start_is_left_out_once(station: Skope) -> None:
     record("north/e", "2026-11-27T00:40:00+01:00", 1, start_time=None)
     Path("north/f").mkdir()
