@@ -24,8 +24,9 @@ class SkyLight:
     """Light of the night sky, as a share of the sky's light at sunset."""
     city_glow: float = 0.000005
     """Radiance of the air over a town per unit of a street light's intensity: 0.003 to 0.04 cd/m2 at the horizon."""
-    bounced: float = 0.00024
-    """Mean radiance of walls, trees and road around a place per unit of a street light's intensity."""
+    bounced: float = 0.00006
+    """Mean radiance of walls, trees and road around a place per unit of a street light's intensity: a sixth of what a
+    lit road of usual reflectance has below a lamp."""
     airlight: float = 0.06
     """Radiance of the lit air, as a share of the light that the lamps give the road."""
     dim_stops: float = 0.24

@@ -64,7 +64,7 @@ class Glare:
         if self._dark and conditions.street_lighting > 0:
             color = tuple(temperature_color(conditions.street_light_k).tolist())
             down = np.array([0.0, 0.0, -1.0])
-            lamps = burning_street_lights(town.lamps, conditions.street_lights_lit)
+            lamps = burning_street_lights(town.lamps, conditions.street_lights_lit)[:, :3]
             lit = [
                 Lit(-1, lamp, down, color, GLARE_STRENGTHS.street_light * conditions.street_lighting) for lamp in lamps
             ]

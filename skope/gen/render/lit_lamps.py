@@ -122,7 +122,7 @@ def light_signals_linear(
 
 
 def burning_street_lights(lamps: Array, share: float) -> Array:
-    """Return the street lights (N, 3) that burn if `share` of them (0 to 1) do; the same lights at every call.
+    """Return the street lights (N, 5) that burn if `share` of them (0 to 1) do; the same lights at every call.
 
     Lights that do not burn are mostly neighbours, so that the road between them is dark.
     """

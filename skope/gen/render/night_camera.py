@@ -37,8 +37,8 @@ class NightSensor:
     """Luminance of a radiance of 1 in the renderer's units at night, cd/m2. Street lights then give 5 to 25 lux."""
     day_units: float = 50.0
     """Ratio of the luminance of a radiance of 1 by day to that at night (a sun of 100,000 lux has a radiance of 10)."""
-    road_level: float = 0.12
-    """Target light of the road at 0 EV, as a share of the sensor's range: 112 of 255 after the tone curve."""
+    road_level: float = 0.16
+    """Target light of the road at 0 EV, as a share of the sensor's range: 132 of 255 after the tone curve."""
     electrons_per_candela_second: float = 20_000.0
     """Electrons of a pixel per cd/m2 and second."""
     full_well_electrons: float = 15_000.0
@@ -51,6 +51,8 @@ class NightSensor:
     """Minimum and maximum factor of the white balance. Cameras keep a part of the colour of sodium lamps."""
     metered_from: float = 1 / 3
     """Share of the image rows above the part that is metered."""
+    road_quantile: float = 0.7
+    """Quantile of luminance that counts as the road's: its surroundings are darker."""
     lamps_from: float = 0.95
     """Quantile of luminance above which pixels count as lamps, which the metering ignores."""
     read_electrons: float = 2.5
@@ -126,7 +128,7 @@ def metered(
     pixels = part[ground] if ground.any() else part.reshape(-1, 3)
     luminance = pixels.mean(axis=1)
     road = pixels[luminance <= np.quantile(luminance, NIGHT_SENSOR.lamps_from)]
-    level = max(float(np.median(road.mean(axis=1))), 1e-6)
+    level = max(float(np.quantile(road.mean(axis=1), NIGHT_SENSOR.road_quantile)), 1e-6)
     wanted = NIGHT_SENSOR.road_level * 2**conditions.exposure_ev / level
     # Electrons per unit of light, from which the gain for `wanted` follows.
     electrons = (

@@ -82,8 +82,8 @@ class Scenery:
     """x, y and radius of their crowns."""
     bays: tuple[Bay, ...] = ()
     """Bays for parked vehicles."""
-    lamps: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    """(N, 3) positions of the street lights' luminaires."""
+    lamps: Array = field(default_factory=lambda: np.zeros((0, 5)))
+    """(N, 5) street lights: the position of the luminaire, and the horizontal unit vector from its pole to it."""
     light_pools: Array = field(default_factory=lambda: np.zeros((0, 10)))
     """(N, 10) patches of light on the road in the dark, from lamps outside the image. Columns: x, y and z of the
     middle, the unit vector in which the patch fades, half of length and width, irradiance red, green and blue."""
@@ -230,7 +230,7 @@ def _out_of_mirror(seen: Scenery) -> Scenery:
         tuple(shapely.affinity.scale(footprint, 1.0, -1.0, origin=(0, 0)) for footprint in seen.buildings),
         tuple((x, -y, reach) for x, y, reach in seen.trees),
         tuple(map(_bay_out_of_mirror, seen.bays)),
-        seen.lamps * flip,
+        seen.lamps * [1, -1, 1, 1, -1],
         seen.light_pools * [1, -1, 1, 1, -1, 1, 1, 1, 1, 1],
     )
 

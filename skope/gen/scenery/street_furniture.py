@@ -28,6 +28,10 @@ class FurnitureLimits:
     """Minimum height of parts over the road, metres."""
     light_spacing_m: float = 32.0
     """Distance between street lights on each side of continuously lit roads, metres."""
+    foot_m: float = 0.5
+    """Height of the part of a street light that counts as its foot, metres."""
+    shortest_arm_m: float = 0.3
+    """Minimum horizontal distance from the foot of a pole to a lamp on an arm, metres."""
     open_view_m: float = 26.0
     """Radius around a camera in which its view of the road is free of furniture, metres."""
 
@@ -162,10 +166,25 @@ def _luminaire(y: float, z: float) -> Mesh:
 
 
 def lamp_positions(meshes: Iterable[Mesh]) -> Array:
-    """Return the middles (N, 3) of the luminaires' panes; each pane is a box of 24 vertices."""
-    panes = [mesh.by_material()["luminaire"].vertices for mesh in meshes if "luminaire" in mesh.materials]
-    boxes = np.concatenate([np.zeros((0, 24, 3)), *(pane.reshape(-1, 24, 3) for pane in panes)])
-    return np.asarray(boxes.mean(axis=1))
+    """Return the luminaires of street lights (N, 5).
+
+    The columns are the middle of the pane, and the horizontal unit vector from the foot of the pole to it. The vector
+    is 0 for a lamp above its foot. Each pane is a box of 24 vertices.
+    """
+    rows = [np.zeros((0, 5))]
+    for mesh in meshes:
+        if "luminaire" not in mesh.materials:
+            continue
+        panes = mesh.by_material()["luminaire"].vertices.reshape(-1, 24, 3).mean(axis=1)
+        low = mesh.vertices[:, 2] < mesh.vertices[:, 2].min() + FURNITURE_LIMITS.foot_m
+        arms = panes[:, :2] - mesh.vertices[low, :2].mean(axis=0)
+        lengths = np.linalg.norm(arms, axis=1, keepdims=True)
+        rows.append(
+            np.hstack(
+                [panes, np.where(lengths > FURNITURE_LIMITS.shortest_arm_m, arms / np.maximum(lengths, 1e-9), 0.0)]
+            )
+        )
+    return np.concatenate(rows)
 
 
 def delineator() -> Mesh:

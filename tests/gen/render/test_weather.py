@@ -255,7 +255,9 @@ def test_edges_of_puddles_mirror_as_much_as_what_is_beside_them(standing: int) -
 def test_normals_that_cancel_out_leave_no_pixel_without_a_value(monkeypatch: pytest.MonkeyPatch) -> None:
     """Glare would spread it over the picture."""
     ground = flat([[(-60, -60, 0), (60, -60, 0), (60, 60, 0), (-60, 60, 0)]], "asphalt")
-    made = Scenery(replace(ground, normals=np.zeros_like(ground.normals)), (), lamps=np.array([[4.0, 3.0, 9.0]]))
+    made = Scenery(
+        replace(ground, normals=np.zeros_like(ground.normals)), (), lamps=np.array([[4.0, 3.0, 9.0, 0.0, 0.0]])
+    )
     for module in (background, renderer):
         monkeypatch.setattr(module, "scenery", lambda _: made)
     shown = view(replace(scene(**NIGHT), signals=({},), town=Town("town01", variant=Variant(9, ()))))

@@ -194,7 +194,7 @@ def test_a_patch_of_light_shows_in_the_dark_only(
     )
     shown = []
     for pools in (np.zeros((0, 10)), pool):
-        made = Scenery(ground, (), lamps=np.array([[0.0, 30.0, 9.0]]), light_pools=pools)
+        made = Scenery(ground, (), lamps=np.array([[0.0, 30.0, 9.0, 0.0, 0.0]]), light_pools=pools)
         for module in (background, renderer):
             monkeypatch.setattr(module, "scenery", lambda _, made=made: made)
         shown.append(make_renderer("gl", recording).render(0))

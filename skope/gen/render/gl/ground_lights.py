@@ -44,6 +44,11 @@ class GroundLightLimits:
     """Radiant intensity of a camera's infrared lamp."""
     infrared_share: float = 0.35
     """Share of a street light's light that an infrared camera sees."""
+    back_light: float = 0.25
+    """Share of a street light's intensity behind its pole, more than 30 degrees from straight down. Road lights with a
+    shield on the house side have 0.1 to 0.4."""
+    grass_share: float = 0.55
+    """Share of the lamps' light that grass and crops reflect: blades shade each other in the low light of lamps."""
     lamp_height_m: float = 7.0
     """Vertical distance below the lamps for which the light map is computed, metres: one metre above the road."""
     beam_irradiance: float = 0.06
@@ -67,6 +72,8 @@ LAMP_OPTIONS: Final = (
     f"MOST_LAMPS {GROUND_LIGHTS.most_lamps}",
     f"SHADOWED_LAMPS {GROUND_LIGHTS.shadow_cells**2}",
     f"LAMP_CELLS {GROUND_LIGHTS.shadow_cells}",
+    f"BACK_LIGHT {GROUND_LIGHTS.back_light}",
+    f"GRASS_SHARE {GROUND_LIGHTS.grass_share}",
 )
 POOL_OPTIONS: Final = ("POOLS", f"MOST_POOLS {GROUND_LIGHTS.most_pools}")
 _CONE_TANGENT: Final = np.tan(np.radians(75))
@@ -76,6 +83,8 @@ _CONE_TANGENT: Final = np.tan(np.radians(75))
 class StreetLights:
     positions: Array
     """(N, 3) positions relative to the camera, metres; those nearest to the middle of the view first."""
+    arms: Array
+    """(N, 2) horizontal unit vectors from the pole to the lamp; 0 without an arm."""
     intensity: Array
     """(3,) radiant intensity of each lamp, red, green and blue."""
     camera_lamp: float
@@ -87,15 +96,26 @@ class StreetLights:
     def of(
         cls, lamps: Array, camera: Camera, conditions: Conditions, daylight: Daylight, middle: Array
     ) -> "StreetLights":
-        """Return the lit street lights for a camera."""
+        """Return the lit street lights for a camera.
+
+        Args:
+            lamps: (N, 5) burning lights, as `Scenery.lamps` has them.
+            camera: The camera.
+            conditions: `infrared` is used.
+            daylight: The light of the recording.
+            middle: (3,) middle of the light map, relative to the camera, metres.
+        """
         infrared = daylight.dark and conditions.infrared >= 0.5
         intensity = daylight.street_light * (GROUND_LIGHTS.infrared_share if infrared else 1.0)
-        offsets = lamps - camera.position if intensity.any() else np.zeros((0, 3))
+        burning = lamps if intensity.any() else np.zeros((0, 5))
+        offsets = burning[:, :3] - camera.position
         ahead = 0.6 * middle[:2]
         away = np.linalg.norm(offsets[:, :2] - ahead, axis=1)
         order = away.argsort(kind="stable")[: GROUND_LIGHTS.most_lamps]
+        near = order[away[order] < GROUND_LIGHTS.lit_within_m]
         return cls(
-            offsets[order[away[order] < GROUND_LIGHTS.lit_within_m]],
+            offsets[near],
+            burning[near, 3:],
             intensity,
             GROUND_LIGHTS.infrared_intensity if infrared else 0.0,
             middle,
@@ -105,12 +125,15 @@ class StreetLights:
     def uniforms(self) -> dict[str, Any]:
         padded = np.zeros((GROUND_LIGHTS.most_lamps, 4))
         padded[: len(self.positions), :3] = self.positions
+        arms = np.zeros((GROUND_LIGHTS.most_lamps, 2))
+        arms[: len(self.arms)] = self.arms
         maps = np.zeros((GROUND_LIGHTS.shadow_cells**2, 4, 4))
         for k in range(self.shadowed):
             maps[k] = _CLIP_TO_TEXTURE @ self.clip(k)
         return {
             "u_street_light": self.intensity,
             "u_luminaires": padded.astype("f4").tobytes(),
+            "u_lamp_arms": arms.astype("f4").tobytes(),
             "u_lamp_count": len(self.positions),
             "u_lamp_map_from": maps,
             "u_shadowed": self.shadowed,
@@ -142,14 +165,15 @@ class StreetLights:
         ) / GROUND_LIGHTS.lamp_map_px * 2 * GROUND_LIGHTS.map_radius_m - GROUND_LIGHTS.map_radius_m
         x, y = np.meshgrid(side + self.middle[0], side + self.middle[1])
         out = np.zeros((GROUND_LIGHTS.lamp_map_px, GROUND_LIGHTS.lamp_map_px, 4))
-        for lamp in self.positions:
+        for lamp, arm in zip(self.positions, self.arms, strict=True):
             to = np.stack([lamp[0] - x, lamp[1] - y, np.full_like(x, GROUND_LIGHTS.lamp_height_m)], axis=-1)
             square = (to**2).sum(-1, keepdims=True)
             to /= np.sqrt(square)
             up = to[..., 2:]
-            # As `luminaire` in lamps.glsl.
-            share = np.clip((up - 0.2) / 0.22, 0, 1)
-            out[..., :3] += to * share * share * (3 - 2 * share) * (2.1 - 1.6 * up) / square
+            # As `luminaire` and `house_side` in lamps.glsl.
+            behind = _smoothstep(0.0, 0.5, to[..., :2] @ arm)[..., None]
+            side = 1 + (GROUND_LIGHTS.back_light - 1) * behind
+            out[..., :3] += to * side * _smoothstep(0.2, 0.42, up) * (2.1 - 1.6 * up) / square
         return out.astype(np.float16)
 
     def mean(self, vectors: NDArray[np.float16]) -> Array:
@@ -162,6 +186,11 @@ class StreetLights:
         ].astype(np.float64)
         camera_light = self.camera_lamp * 0.35 / 14.0**2 * np.ones(3)
         return np.asarray(self.intensity * upward.mean() + camera_light)
+
+
+def _smoothstep(first: float, last: float, value: Array) -> Array:
+    share = np.clip((value - first) / (last - first), 0, 1)
+    return np.asarray(share * share * (3 - 2 * share))
 
 
 def pool_uniforms(pools: Array, camera: Camera, middle: Array) -> dict[str, Any]:

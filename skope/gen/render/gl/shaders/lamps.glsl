@@ -1,6 +1,7 @@
 // Light at night: street lights, the camera's own lamp, lit windows.
 uniform vec3 u_street_light;             // radiant intensity of each light
 uniform vec4 u_luminaires[MOST_LAMPS];        // positions of the lights; w: 1
+uniform vec2 u_lamp_arms[MOST_LAMPS];     // directions of the arms that hold them, from pole to light; 0 without an arm
 uniform int u_lamp_count;
 uniform bool u_all_lit;                  // whether all street lights burn, not only those of u_luminaires
 uniform mat4 u_lamp_map_from[SHADOWED_LAMPS];
@@ -13,12 +14,15 @@ uniform float u_lit_windows;
 // almost none above 75. `down` is the cosine of that angle.
 float luminaire(float down) { return smoothstep(0.2, 0.42, down) * (2.1 - 1.6 * down); }
 
+// Share of the light that goes towards a point behind the pole: road lights shield the side that is not the road.
+float house_side(vec3 l, vec2 arm) { return mix(1.0, BACK_LIGHT, smoothstep(0.0, 0.5, dot(l.xy, arm))); }
+
 // Irradiance of one lamp without shadows.
-float from_lamp(vec3 lamp, vec3 at, vec3 n) {
+float from_lamp(vec3 lamp, vec2 arm, vec3 at, vec3 n) {
     vec3 to = lamp - at;
     float square = max(dot(to, to), 0.05);
     vec3 l = to * inversesqrt(square);
-    float wide = luminaire(l.z);
+    float wide = luminaire(l.z) * house_side(l, arm);
 #ifdef LEAVES
     return wide * 0.55 / square;
 #else
@@ -33,9 +37,9 @@ vec3 lamplight(vec3 at, vec3 n) {
         vec3 uvz = clip.xyz / max(clip.w, 1e-3);
         vec2 cell = vec2(i % LAMP_CELLS, i / LAMP_CELLS);
         uvz.xy = (cell + clamp(uvz.xy, 0.002, 0.998)) / float(LAMP_CELLS);
-        sum += from_lamp(u_luminaires[i].xyz, at, n) * texture(u_lamp_maps, uvz);
+        sum += from_lamp(u_luminaires[i].xyz, u_lamp_arms[i], at, n) * texture(u_lamp_maps, uvz);
     }
-    for (int i = u_shadowed; i < u_lamp_count; ++i) sum += from_lamp(u_luminaires[i].xyz, at, n);
+    for (int i = u_shadowed; i < u_lamp_count; ++i) sum += from_lamp(u_luminaires[i].xyz, u_lamp_arms[i], at, n);
     float square = dot(at, at);
     return u_street_light * sum + vec3(u_own_lamp * max(dot(n, -at) * inversesqrt(square), 0.0) / square);
 }

@@ -55,7 +55,11 @@ void main() {
     // One direction, sampled uniformly over the hemisphere, represents all of it.
     vec3 light = 2.0 * u_sky_radiance * up * open + u_ground * 0.5 * (1.0 - n.z);
 #ifdef LAMPS
-    light += lamplight(lifted, n) / PI;
+    vec3 lamps = lamplight(lifted, n) / PI;
+#ifdef GROUND
+    if (v_material >= M_MEADOW && v_material <= M_GRASS) lamps *= GRASS_SHARE;
+#endif
+    light += lamps;
 #endif
     vec3 mirrored = reflect(-view, n);
     float f = gloss * fresnel(dot(n, view), 0.06), water = 0.0;
