@@ -6,7 +6,7 @@ import threading
 from collections import Counter, defaultdict
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -35,7 +35,6 @@ from skope.dataset.folder import (
     VISIBILITY_KEY,
 )
 from skope.detector import weights
-from skope.detector.network_settings import Settings
 from skope.detector.predictor import Predictor
 from skope.errors import UserError
 from skope.files.progress import Progress
@@ -77,10 +76,7 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     Raises:
         UserError: No image can be read, or the output folder holds the output of another run.
     """
-    # The frames of a live stream must not wait for a full batch.
-    batch_size = job.settings.batch_size or (1 if job.footage.live else None)
-    settings = replace(job.settings, min_score=job.least_score, batch_size=batch_size, one_size=job.footage.one_size)
-    detector = _loaded(job, settings, console)
+    detector = load_frame_detector(job, console)
     claim(job, detector.files)
     prediction = Prediction(job, detector)
     if job.footage.clip and not job.footage.clip.square:
@@ -117,8 +113,13 @@ def _report_notes(footage: Footage, reported: int, console: Console) -> int:
     return len(footage.notes)
 
 
-def _loaded(job: PredictJob, settings: Settings, console: Console) -> Predictor | LiveDetectorSelector:
-    """Load the job's detector; for a live stream those that come with skope, unless another detector is requested."""
+def load_frame_detector(job: PredictJob, console: Console) -> Predictor | LiveDetectorSelector:
+    """Load a job's detector; for a live stream those that come with skope, unless another detector is requested.
+
+    Raises:
+        UserError: The detector cannot be loaded.
+    """
+    settings = job.detector_settings
     given = None if job.checkpoint is None else str(job.checkpoint)
     if job.footage.live and (given is None or (given in weights.BY_ACCURACY and not Path(given).exists())):
         return LiveDetectorSelector.load(given, settings, job.footage.cut.every, console)

@@ -4,10 +4,10 @@ import hashlib
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -95,7 +95,7 @@ class PredictJob:
     score: float = KEPT_SCORE
     """Minimum score of a detection that is kept."""
     camera: Camera | None = None
-    camera_info: Mapping[str, float] = field(default_factory=dict)
+    camera_info: Mapping[str, Any] = field(default_factory=dict)
     """Further fields on the camera, for the `info` of the frames."""
     overlay: bool = False
     blur: bool = False
@@ -115,6 +115,13 @@ class PredictJob:
         if self.every_frame or not dense or choose_device(self.settings.device).type != "cpu":
             return 1
         return max(1, round(KEY_FRAME_LIMITS.interval_s * (self.footage.fps or 0.0)))
+
+    @property
+    def detector_settings(self) -> Settings:
+        """Settings with which the detector is loaded."""
+        # The frames of a live stream must not wait for a full batch.
+        batch_size = self.settings.batch_size or (1 if self.footage.live else None)
+        return replace(self.settings, min_score=self.least_score, batch_size=batch_size, one_size=self.footage.one_size)
 
     @property
     def least_score(self) -> float:

@@ -7,8 +7,9 @@ UTC.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from datetime import UTC, date, datetime
 from typing import Any, Final, Self
 
@@ -19,7 +20,7 @@ from skope.errors import UserError
 from skope.traffic.report_tables import report_tables
 from skope.traffic.traffic_report import TrafficReport
 
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2
 _TIMES: Final = frozenset({"begin", "end", "time"})
 _WHOLE: Final = frozenset({"count", "count_high_90", "count_low_90", "includes_camera_error", "recording", "track"})
 _TEXTS: Final = frozenset(
@@ -56,6 +57,19 @@ _DAYS: Final = sql.Table(
     sql.Column("recordings", sql.Integer, nullable=False),
     sql.Column("digest", sql.Text, nullable=False),
     sql.Column("measured", sql.DateTime(timezone=True), nullable=False),
+    sql.Column("took_s", sql.Double),
+)
+_RECORDINGS: Final = sql.Table(
+    "recordings",
+    _METADATA,
+    sql.Column("camera", sql.Text, primary_key=True),
+    sql.Column("day", sql.Date, primary_key=True),
+    sql.Column("folder", sql.Text, primary_key=True),
+    sql.Column("begin", sql.DateTime(timezone=True), nullable=False),
+    sql.Column("end", sql.DateTime(timezone=True), nullable=False),
+    sql.Column("frames", sql.Integer, nullable=False),
+    sql.Column("observed_s", sql.Double, nullable=False),
+    sql.Column("moved", sql.Boolean, nullable=False),
 )
 _MEASURED: Final = {
     name: sql.Table(
@@ -68,6 +82,39 @@ _MEASURED: Final = {
     )
     for name, columns in _COLUMNS.items()
 }
+
+
+_DAY_TABLES: Final = {**_MEASURED, "recordings": _RECORDINGS}
+TABLES: Final = tuple(_DAY_TABLES)
+"""Names of the tables whose rows belong to a day of a camera."""
+
+
+@dataclass(frozen=True)
+class MeasuredDay:
+    """What a station knows about a day of a camera that it has measured."""
+
+    digest: str
+    """Digest of the recordings, the site and the version of skope."""
+    took_s: float
+    """Duration of the measurement, seconds."""
+    measured: datetime | None = None
+    """Time of the measurement; None: not stored yet."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingRow:
+    """A recording of a day."""
+
+    begin: datetime
+    end: datetime
+    folder: str
+    """Name of its folder."""
+    frames: int
+    """Number of analysed frames."""
+    observed_s: float
+    """Observed time without gaps, seconds."""
+    moved: bool
+    """Whether the camera was moved during the recording."""
 
 
 class Database:
@@ -97,6 +144,9 @@ class Database:
             version = connection.execute(sql.select(_SCHEMA.c.version)).scalar()
             if version is None:
                 connection.execute(sql.insert(_SCHEMA).values(version=SCHEMA_VERSION))
+            elif version == 1:
+                connection.execute(sql.text("ALTER TABLE days ADD COLUMN took_s DOUBLE PRECISION"))
+                connection.execute(sql.update(_SCHEMA).values(version=SCHEMA_VERSION))
             elif version != SCHEMA_VERSION:
                 raise UserError(f"{database.name}: its tables have version {version}, expected {SCHEMA_VERSION}")
         return database
@@ -106,20 +156,30 @@ class Database:
         """The address without its password."""
         return f"database {self._engine.url.render_as_string(hide_password=True)}"
 
-    def digests(self, camera: str) -> dict[date, str]:
-        """Return the digest of the recordings of each measured day of a camera. Raises UserError."""
-        query = sql.select(_DAYS.c.day, _DAYS.c.digest).where(_DAYS.c.camera == camera)
+    def measured_days(self, camera: str) -> dict[date, MeasuredDay]:
+        """Return the measured days of a camera. Raises UserError."""
+        query = sql.select(_DAYS).where(_DAYS.c.camera == camera)
         with self._errors(), self._engine.connect() as connection:
-            return {row.day: row.digest for row in connection.execute(query)}
+            return {
+                row.day: MeasuredDay(row.digest, row.took_s or 0.0, _in_utc(row.measured))
+                for row in connection.execute(query)
+            }
 
-    def replace_day(self, camera: str, day: date, digest: str, recordings: int, report: TrafficReport) -> int:
+    def replace_day(
+        self,
+        camera: str,
+        day: date,
+        measured: MeasuredDay,
+        recordings: Sequence[RecordingRow],
+        report: TrafficReport,
+    ) -> int:
         """Replace all rows of a camera's day in one transaction.
 
         Args:
             camera: Name of the camera.
             day: The day.
-            digest: Digest of the recordings and the site, to recognise them again.
-            recordings: Number of recordings.
+            measured: Digest of the recordings, and duration of the measurement.
+            recordings: The recordings.
             report: The traffic of the day.
 
         Returns:
@@ -141,15 +201,62 @@ class Database:
             ]
             for name in _MEASURED
         }
-        day_row = {"recordings": recordings, "digest": digest, "measured": datetime.now(UTC)}
+        day_row = {
+            "recordings": len(recordings),
+            "digest": measured.digest,
+            "measured": datetime.now(UTC),
+            "took_s": measured.took_s,
+        }
+        listed = [{"camera": camera, "day": day, **_row_in_utc(asdict(recording))} for recording in recordings]
         with self._errors(), self._engine.begin() as connection:
-            for table in (_DAYS, *_MEASURED.values()):
+            for table in (_DAYS, _RECORDINGS, *_MEASURED.values()):
                 connection.execute(sql.delete(table).where(table.c.camera == camera, table.c.day == day))
             for name, table in _MEASURED.items():
                 if rows[name]:
                     connection.execute(sql.insert(table), rows[name])
+            if listed:
+                connection.execute(sql.insert(_RECORDINGS), listed)
             connection.execute(sql.insert(_DAYS).values(camera=camera, day=day, **day_row))
         return len(rows["events"])
+
+    def days(self, camera: str) -> list[dict[str, Any]]:
+        """Return the measured days of a camera, the newest first, as rows of the table `days`. Raises UserError."""
+        query = sql.select(_DAYS).where(_DAYS.c.camera == camera).order_by(_DAYS.c.day.desc())
+        return self._rows(query)
+
+    def rows(self, table: str, camera: str, day: date) -> list[dict[str, Any]]:
+        """Return the rows of a camera's day from one of `TABLES`, in order.
+
+        Raises:
+            UserError: The database cannot be read.
+        """
+        found = _DAY_TABLES[table]
+        order = found.c.begin if table == "recordings" else found.c.row
+        return self._rows(sql.select(found).where(found.c.camera == camera, found.c.day == day).order_by(order))
+
+    def forget(self, camera: str, before: date) -> int:
+        """Delete the events, speeds and recordings of the days before a day; counts are kept.
+
+        Returns:
+            Number of deleted events.
+
+        Raises:
+            UserError: The database cannot be written.
+        """
+        with self._errors(), self._engine.begin() as connection:
+            deleted = 0
+            for name in ("events", "speeds", "recordings"):
+                table = _DAY_TABLES[name]
+                found = connection.execute(sql.delete(table).where(table.c.camera == camera, table.c.day < before))
+                deleted += found.rowcount if name == "events" else 0
+            return deleted
+
+    def _rows(self, query: Any) -> list[dict[str, Any]]:
+        with self._errors(), self._engine.connect() as connection:
+            return [
+                {name: _in_utc(value) if isinstance(value, datetime) else value for name, value in row.items()}
+                for row in connection.execute(query).mappings()
+            ]
 
     @contextmanager
     def _errors(self) -> Iterator[None]:
@@ -174,6 +281,15 @@ def _named_errors(name: str) -> Iterator[None]:
     except SQLAlchemyError as error:
         reason = str(getattr(error, "orig", None) or error).strip().splitlines()
         raise UserError(f"{name}: {reason[0] if reason else type(error).__name__}") from None
+
+
+def _in_utc(value: datetime | None) -> datetime | None:
+    """Return a time of the database with its zone: SQLite stores times in UTC without it."""
+    return value if value is None or value.tzinfo is not None else value.replace(tzinfo=UTC)
+
+
+def _row_in_utc(row: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: _cell(value) for name, value in row.items()}
 
 
 def _cell(value: Any) -> Any:

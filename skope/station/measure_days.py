@@ -1,47 +1,68 @@
 """Measure the recordings of a station's cameras, day by day, and write the traffic into its database."""
 
 import hashlib
+import time
 from collections import defaultdict
-from collections.abc import Iterator
-from datetime import date, datetime
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import Final
 
 from skope.errors import UserError
 from skope.files.atomic import sha256_of
-from skope.station.database import Database
+from skope.station.database import Database, MeasuredDay, RecordingRow
 from skope.station.station_file import Station, StationCamera
+from skope.station.track_windows import Track, track_windows
 from skope.terminal.console import counted
 from skope.tracks.csv_file import TRACKS_CSV
 from skope.traffic.measure import measure
 from skope.traffic.observation import FOOTAGE_FILE, read_observation
-from skope.traffic.recordings import begin_in_name, begin_of, read_recordings
+from skope.traffic.recordings import RECORDING_LIMITS, begin_in_name, begin_of, read_recordings
 from skope.version import __version__
 
 _TIME_KEY: Final = "start_time"
 
 
-class StationWork:
-    """Measures the days of a station whose recordings have changed."""
+@dataclass(frozen=True)
+class MeasuringLimits:
+    """Limits of the work of a station."""
 
-    def __init__(self, station: Station, database: Database) -> None:
-        self._station, self._database = station, database
+    rest_factor: float = 20.0
+    """A day that has grown is measured again after this many times the duration of its last measurement, so that the
+    work on a camera takes at most a twentieth of a processor core."""
+
+
+MEASURING_LIMITS: Final = MeasuringLimits()
+
+
+class StationWork:
+    """Tracks the windows of a station's streams, and measures the days whose recordings have changed."""
+
+    def __init__(self, station: Station, database: Database, track: Track) -> None:
+        """Prepare the work; `track` tracks a folder of detections."""
+        self._station, self._database, self._track = station, database, track
         self._begins: dict[tuple[Path, float], datetime | None] = {}
         """Start of each recording, by folder and time of its last change."""
         self._digests: dict[tuple[Path, float], str] = {}
         self._reported: set[Path] = set()
         """Recordings that were reported as left out."""
 
-    def work_off(self) -> Iterator[str]:
-        """Measure each day whose recordings are new or have changed, and yield a line for each.
+    def work_off(self, *, rest: bool = True) -> Iterator[str]:
+        """Track and measure what is new, and yield a line for each measured day and each problem.
 
-        A recording without a start time, or that cannot be read, is left out. This is reported once.
+        A recording without a start time, that cannot be read, or that overlaps an earlier one is left out. This is
+        reported once.
+
+        Args:
+            rest: Whether a day that was measured shortly before waits (`MeasuringLimits.rest_factor`).
 
         Raises:
             UserError: The database cannot be read or written.
         """
         for camera in self._station.cameras:
-            measured = self._database.digests(camera.name)
+            yield from track_windows(camera, self._track)
+            measured = self._database.measured_days(camera.name)
             days = defaultdict[date, list[Path]](list)
             for folder in _recordings_of(camera):
                 try:
@@ -55,20 +76,52 @@ class StationWork:
                     days[begin.date()].append(folder)
             for day, folders in sorted(days.items()):
                 digest = self._digest(folders, camera)
-                if measured.get(day) != digest:
-                    yield from self._measure_day(camera, day, digest, folders)
+                last = measured.get(day)
+                if last and (last.digest == digest or (rest and _rests(last))):
+                    continue
+                yield from self._measure_day(camera, day, digest, folders)
 
     def _measure_day(self, camera: StationCamera, day: date, digest: str, folders: list[Path]) -> Iterator[str]:
+        begun = time.monotonic()
         try:
-            footage = read_recordings(folders, (), camera.site, _TIME_KEY)
+            rows = yield from self._without_overlaps(camera, folders)
+            kept = [camera.tracks / row.folder for row in rows]
+            footage = read_recordings(kept, (), camera.site, _TIME_KEY)
             report = measure(
                 footage.tracks, footage.observation, camera.site, footage.start, recordings=footage.recordings
             )
         except UserError as error:
             yield f"{camera.name}: {day}: not measured: {error}"
             return
-        events = self._database.replace_day(camera.name, day, digest, len(folders), report)
-        yield f"{camera.name}: {day}: {counted(len(folders), 'recording')}, {counted(events, 'event')}"
+        took_s = time.monotonic() - begun
+        events = self._database.replace_day(camera.name, day, MeasuredDay(digest, took_s), rows, report)
+        yield f"{camera.name}: {day}: {counted(len(rows), 'recording')}, {counted(events, 'event')}"
+
+    def _without_overlaps(self, camera: StationCamera, folders: list[Path]) -> Generator[str, None, list[RecordingRow]]:
+        """Return the recordings that do not overlap an earlier one: a clock that is set back repeats times."""
+        rows = list[RecordingRow]()
+        found = [self._row(camera, folder) for folder in folders]
+        for row in sorted(found, key=lambda row: (row.begin, row.folder)):
+            last = rows[-1].end if rows else row.begin
+            if (last - row.begin).total_seconds() > RECORDING_LIMITS.inexact_s:
+                folder = camera.tracks / row.folder
+                yield from self._left_out(folder, f"{camera.name}: {folder}: overlaps the one before it; left out")
+            else:
+                rows.append(row)
+        return rows
+
+    def _row(self, camera: StationCamera, folder: Path) -> RecordingRow:
+        begin, observation = self._begin(folder, camera), read_observation(folder)
+        assert begin is not None
+        first, last = (begin.astimezone(UTC) + timedelta(seconds=second) for second in observation.extent)
+        return RecordingRow(
+            begin=first,
+            end=last,
+            folder=folder.name,
+            frames=len(observation.times_s),
+            observed_s=observation.observed_s,
+            moved=bool(len(observation.camera_moved_s) or observation.turned),
+        )
 
     def _left_out(self, folder: Path, line: str) -> Iterator[str]:
         if folder not in self._reported:
@@ -94,6 +147,13 @@ class StationWork:
                 self._digests[key] = sha256_of(file)
             parts.append(self._digests[key])
         return hashlib.sha256(" ".join(parts).encode()).hexdigest()
+
+
+def _rests(last: MeasuredDay) -> bool:
+    """Return whether a day was measured too shortly before to be measured again."""
+    if last.measured is None:
+        return False
+    return datetime.now(UTC) < last.measured + timedelta(seconds=MEASURING_LIMITS.rest_factor * last.took_s)
 
 
 def _recordings_of(camera: StationCamera) -> list[Path]:

@@ -27,8 +27,10 @@ WINDOW_LIMITS: Final = WindowLimits()
 class StreamWindow(LiveStream):
     """The frames of a stream from one time to another. It is read once, as the stream."""
 
-    def __init__(self, name: str, clip: VideoInfo, begin: datetime, source: Iterator[tuple[Image, Pixels]]) -> None:
-        """Hold a window's frames, numbered from 1, whose times are seconds after `begin`."""
+    def __init__(
+        self, name: str, clip: VideoInfo, begin: datetime | None, source: Iterator[tuple[Image, Pixels]]
+    ) -> None:
+        """Hold a window's frames, numbered from 1, whose times are seconds after `begin` (None: not known)."""
         super().__init__(name, FrameRange(), clip=clip)
         self.start_time = begin
         self._source = source

@@ -1,6 +1,6 @@
 """Detection and tracking of footage for commands that need tracks: in metres with a camera, else in the image."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -156,7 +156,6 @@ def tracked_footage(
     from skope.footage.predict_footage import predict
     from skope.footage.predict_job import PredictJob, content_of
     from skope.pose.camera_error import camera_info
-    from skope.tracking.track_footage import TrackJob, follow_footage
     from skope.traffic.observation import FOOTAGE_FILE
 
     assert site.camera is not None
@@ -182,21 +181,37 @@ def tracked_footage(
     )
     for path in predict(job, console):
         console.say(f"wrote {path}")
-    scene_options = SceneOptions(folder=out / SEEN_NAME)
-    scene = scene_options.scene(0.0, console=console)
-    scene_options.claim_output(tracks, "skope eval track", fps=None, noise=0.0)
-    track_job = TrackJob(
+    for line in track_folder(out / SEEN_NAME, tracks, console):
+        console.say(line)
+    return tracks
+
+
+def track_folder(seen: Path, out: Path, console: Console) -> Iterator[str]:
+    """Track road users in metres, as `skope eval track` does by default; yield the lines that it prints.
+
+    Args:
+        seen: Folder of detections, whose frames have a camera.
+        out: Output folder, which is claimed here.
+        console: Console for messages.
+
+    Raises:
+        UserError: The detections cannot be read, or `out` has the output of another run.
+    """
+    from skope.tracking.track_footage import TrackJob, follow_footage
+
+    options = SceneOptions(folder=seen)
+    scene = options.scene(0.0, console=console)
+    options.claim_output(out, "skope eval track", fps=None, noise=0.0)
+    job = TrackJob(
         scene=scene,
-        place=scene_options.images_folder,
-        out=tracks,
+        place=options.images_folder,
+        out=out,
         fps=None,
         start_time=None,
         noise=0.0,
-        score=scene_options.score,
-        sigma_px=scene_options.sigma,
+        score=options.score,
+        sigma_px=options.sigma,
         video=False,
         overlay=False,
     )
-    for line in follow_footage(track_job, console):
-        console.say(line)
-    return tracks
+    yield from follow_footage(job, console)

@@ -1,0 +1,189 @@
+"""Read the live stream of a camera of a station, and detect road users in it, window by window without a gap.
+
+Each window becomes a folder of detections, as `skope eval predict` writes it. A folder is complete when its progress
+file is gone. A process that was killed leaves an incomplete window; the next one completes it with what was detected.
+"""
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Final
+
+from skope.camera.model import Camera
+from skope.dataset.camera_of_file import fitted_camera
+from skope.detector.network_settings import Settings
+from skope.detector.predictor import Predictor
+from skope.errors import UserError
+from skope.files.json_files import write_json
+from skope.footage.live_choice import LiveDetectorSelector
+from skope.footage.predict_footage import Prediction, load_frame_detector
+from skope.footage.predict_job import PROGRESS_FILE, PredictJob, claim
+from skope.pose.camera_error import COVARIANCE_KEY
+from skope.schema import Image
+from skope.station.station_file import StationCamera
+from skope.terminal.console import Console
+from skope.video.footage import LiveStream, open_footage
+from skope.video.stream_windows import StreamWindow, StreamWindows
+
+WINDOW_NAME: Final = "%Y-%m-%dT%H-%M-%SZ"
+"""Name of a window's folder: its start in UTC."""
+
+
+@dataclass(frozen=True)
+class WatchLimits:
+    """Waiting times of the process that reads a stream."""
+
+    reopen_s: float = 5.0
+    """Time between two attempts to open a stream, seconds."""
+    state_s: float = 2.0
+    """Time between two updates of the state, seconds."""
+
+
+WATCH_LIMITS: Final = WatchLimits()
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamState:
+    """State of the process that reads a stream."""
+
+    updated: datetime
+    last_frame: datetime | None = None
+    """Time of the last frame that was analysed; None: none yet."""
+    frames: int = 0
+    """Number of frames analysed since the process began."""
+    rate: float = 0.0
+    """Frames analysed per second in the current window."""
+    skipped: float = 0.0
+    """Share of the received frames that were not analysed in the current window."""
+    delay_s: float = 0.0
+    """Time from the arrival of the last frame to its detections, seconds."""
+    in_view: int = 0
+    """Number of road users in the last frame."""
+    message: str = ""
+    """Why no stream is read; empty while it is read."""
+
+    def to_dict(self) -> dict[str, object]:
+        """Return a JSON object."""
+        values = asdict(self)
+        return {key: value.isoformat() if isinstance(value, datetime) else value for key, value in values.items()}
+
+
+class StreamWatch:
+    """Detects road users in a camera's stream for as long as it runs."""
+
+    def __init__(self, camera: StationCamera, window_s: float, settings: Settings, console: Console) -> None:
+        """Prepare to read the stream of a camera.
+
+        Args:
+            camera: A camera with a stream.
+            window_s: Length of the windows, seconds.
+            settings: Settings of the detector.
+            console: Console for messages.
+        """
+        assert camera.stream is not None
+        self._camera, self._address, self._window_s, self._console = camera, camera.stream, window_s, console
+        self._settings = settings
+        self._detector: Predictor | LiveDetectorSelector | None = None
+        self._state = StreamState(updated=datetime.now(UTC))
+        self._saved_s = -math.inf
+
+    def run(self) -> None:
+        """Read the stream until the process is stopped (KeyboardInterrupt); open it again whenever it ends."""
+        while True:
+            message = "the stream ended"
+            try:
+                stream = open_footage(self._address)
+                if not isinstance(stream, LiveStream):
+                    raise UserError("it is a video, not a live stream")
+                stream.name = self._camera.name
+                for _ in self.windows(stream):
+                    pass
+                message = stream.broken_off or message
+            except UserError as error:
+                message = str(error)
+            self._console.warn(f"{self._camera.name}: {message}; trying again")
+            self._save(replace(self._state, message=message))
+            time.sleep(WATCH_LIMITS.reopen_s)
+
+    def windows(self, stream: LiveStream) -> Iterator[Path]:
+        """Detect road users in a stream, and yield the folder of each complete window until the stream ends.
+
+        Windows that a killed process has left are completed first.
+
+        Raises:
+            UserError: The detector cannot be loaded, the camera does not fit the frames, or a file cannot be written.
+        """
+        for file in sorted(self._camera.seen.glob(f"*/{PROGRESS_FILE}")):
+            left = StreamWindow(stream.name, stream.clip, None, iter(()))
+            self._prediction(left, file.parent, self._camera_of(None)).write(self._quiet)
+        parts = StreamWindows(stream, self._window_s)
+        for window in parts:
+            yield self._detect(window, self._camera_of(parts.frame_size))
+
+    def _detect(self, window: StreamWindow, camera: Camera) -> Path:
+        """Detect road users in a window; return its folder."""
+        assert window.start_time is not None
+        begin = window.start_time.astimezone(UTC)
+        out = self._camera.seen / begin.strftime(WINDOW_NAME)
+        prediction = self._prediction(window, out, camera)
+        try:
+            for image, found in prediction.frames():
+                self._note(begin, image, len(found), prediction.images)
+        finally:
+            if prediction.images:
+                prediction.write(self._quiet)
+        return out
+
+    def _prediction(self, window: StreamWindow, out: Path, camera: Camera) -> Prediction:
+        site_camera = self._camera.site.camera
+        assert site_camera is not None
+        known = site_camera.known
+        job = PredictJob(
+            footage=window,
+            checkpoint=None if self._camera.detector is None else Path(self._camera.detector),
+            out=out,
+            settings=self._settings,
+            camera=camera,
+            camera_info={COVARIANCE_KEY: known.covariance_dict()} if known else {},
+        )
+        if self._detector is None:
+            self._detector = load_frame_detector(job, self._console)
+        claim(job, self._detector.files)
+        return Prediction(job, self._detector)
+
+    def _camera_of(self, size: tuple[int, int] | None) -> Camera:
+        """Return the site's camera at the size of the frames; None: at its own."""
+        assert self._camera.site.camera is not None
+        camera = self._camera.site.camera.camera
+        return (
+            fitted_camera(camera, size, f"{self._camera.site.path}: camera", self._camera.name)[0] if size else camera
+        )
+
+    def _note(self, begin: datetime, image: Image, in_view: int, images: Sequence[Image]) -> None:
+        """Update the state after a frame of the window that begins at `begin`."""
+        now, time_s = datetime.now(UTC), image.time_s or 0.0
+        last_frame = begin + timedelta(seconds=time_s)
+        received = 1 + (image.frame_index or 0) - (images[0].frame_index or 0)
+        state = StreamState(
+            updated=now,
+            last_frame=last_frame,
+            frames=self._state.frames + 1,
+            rate=round((len(images) - 1) / time_s, 2) if time_s > 0 else 0.0,
+            skipped=round(1 - len(images) / received, 4),
+            delay_s=round((now - last_frame).total_seconds(), 3),
+            in_view=in_view,
+        )
+        if time.monotonic() - self._saved_s > WATCH_LIMITS.state_s:
+            self._save(state)
+        self._state = state
+
+    def _save(self, state: StreamState) -> None:
+        self._saved_s, self._state = time.monotonic(), state
+        write_json(self._camera.state, replace(state, updated=datetime.now(UTC)).to_dict())
+
+    @property
+    def _quiet(self) -> Console:
+        return Console(quiet=True)
