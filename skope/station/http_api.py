@@ -4,7 +4,6 @@ import hmac
 import threading
 from collections.abc import Callable, Sequence
 from datetime import date
-from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import uvicorn
@@ -16,11 +15,11 @@ from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 from skope.errors import UserError
 from skope.station.database import Database
 from skope.station.health import STATES, CameraHealth
+from skope.station.page import station_page
 from skope.station.station_file import HttpAddress
 from skope.version import __version__
 
 Table = Literal["counts", "events", "speeds", "visibility", "recordings"]
-_PAGE: Final = Path(__file__).with_name("page.html")
 _GAUGES: Final = {
     "rate": ("skope_frames_per_second", "Analysed frames per second."),
     "skipped": ("skope_skipped_share", "Share of the received frames that were not analysed."),
@@ -96,7 +95,7 @@ def make_app(
     @app.get("/", response_class=HTMLResponse)
     def page() -> HTMLResponse:
         """Return the page of the station."""
-        return HTMLResponse(_PAGE.read_text(encoding="utf-8"))
+        return HTMLResponse(station_page(database, health()))
 
     return app
 
@@ -105,9 +104,7 @@ def metrics_text(health: Sequence[CameraHealth]) -> str:
     """Return the health of cameras in Prometheus' text format."""
     registry = CollectorRegistry()
     state = Gauge("skope_camera_state", "1 for the state of a camera.", ["camera", "state"], registry=registry)
-    gauges = {
-        field: Gauge(name, text, ["camera"], registry=registry) for field, (name, text) in _GAUGES.items()
-    }
+    gauges = {field: Gauge(name, text, ["camera"], registry=registry) for field, (name, text) in _GAUGES.items()}
     for camera in health:
         for name in STATES:
             state.labels(camera.camera, name).set(float(camera.state == name))

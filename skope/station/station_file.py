@@ -107,6 +107,8 @@ class Station:
 
     path: Path
     """The station file."""
+    folder: Path
+    """Folder of the station's files."""
     database: str
     """Address of the database, as SQLAlchemy takes it."""
     cameras: tuple[StationCamera, ...]
@@ -137,6 +139,7 @@ def read_station(path: Path) -> Station:
     keep_days = table.number("keep_days", low=2, high=36500) if "keep_days" in table else None
     station = Station(
         path=path,
+        folder=folder,
         database=_in_folder(table.text("database", "sqlite:///traffic.db"), path.parent),
         cameras=cameras,
         window_s=60 * table.number("window_minutes", 5.0, low=0.1, high=60),

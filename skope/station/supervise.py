@@ -1,6 +1,7 @@
 """Run a station: one process per stream, one that tracks and measures, and the publishers."""
 
 import multiprocessing
+import os
 import signal
 import threading
 import time
@@ -10,6 +11,8 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Final, Protocol
 
+from skope.errors import UserError
+from skope.files.atomic import hold_lock
 from skope.station.health import CameraHealth, health_of_all
 from skope.station.station_file import Station
 from skope.terminal.console import Console
@@ -111,7 +114,20 @@ class Supervisor:
         return health_of_all(self._station, self.restarts)
 
     def run(self) -> None:
-        """Run until SIGINT or SIGTERM, then end all processes: each writes what it has."""
+        """Run until SIGINT or SIGTERM, then end all processes: each writes what it has.
+
+        Raises:
+            UserError: Another process runs this station.
+        """
+        self._station.folder.mkdir(parents=True, exist_ok=True)
+        try:
+            lock = hold_lock(self._station.folder / ".lock")
+        except BlockingIOError:
+            raise UserError(f"{self._station.path}: another process runs this station") from None
+        with lock:
+            self._supervise()
+
+    def _supervise(self) -> None:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: self._stopped.set())
         try:
@@ -141,11 +157,21 @@ class Supervisor:
             publisher.close()
 
 
-def ended_by_terminate() -> None:
-    """Let SIGTERM raise KeyboardInterrupt in this process, and ignore SIGINT, which the terminal sends to all."""
+def end_with_parent() -> None:
+    """Prepare a process of a station: SIGTERM and the end of its parent raise KeyboardInterrupt.
+
+    SIGINT is ignored, because a terminal sends it to all processes at once.
+    """
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(SUPERVISION_LIMITS.first_pause_s)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    parent = os.getppid()
     signal.signal(signal.SIGTERM, interrupt)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=watch, daemon=True).start()

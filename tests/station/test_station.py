@@ -20,6 +20,7 @@ import pytest
 import sqlalchemy as sql
 
 from skope.errors import UserError
+from skope.eval.cli.station import measure_station
 from skope.files.json_files import write_json
 from skope.station.database import Database
 from skope.station.measure_days import StationWork
@@ -57,6 +58,11 @@ def record(folder: str, begin: str, vehicles: int, **known: Any) -> Path:
     values = {"source": "camera", "common_scale_sigma": 0.01, "start_time": datetime.fromisoformat(begin), **known}
     write_json(path / FOOTAGE_FILE, Observation(times_s=np.arange(600) / 10, **values).to_dict())
     return path
+
+
+def not_needed(seen: Path, out: Path) -> list[str]:
+    """Tracks nothing: these stations have recordings only."""
+    raise AssertionError(seen, out)
 
 
 @pytest.fixture
@@ -125,10 +131,10 @@ def test_a_changed_site_file_measures_all_days_again(station: Skope) -> None:
 
 def test_a_running_station_does_not_take_old_gates_for_new_ones(station: Skope) -> None:
     read = read_station(Path("station.toml"))
-    work = StationWork(read, Database.open(read.database))
-    assert len(list(work.work_off())) == 2
+    work = StationWork(read, Database.open(read.database), not_needed)
+    assert len(list(work.work_off(rest=False))) == 2
     Path("site.toml").write_text(SITE.replace("= 1\n", "= 5\n"))
-    assert list(work.work_off()) == []
+    assert list(work.work_off(rest=False)) == []
     assert station("eval", "station", "station.toml", "--once")[1].count("\n") == 2
     assert rows_of("select distinct end_s - begin_s from counts") == [(300.0,)]
 
@@ -139,12 +145,12 @@ def test_a_recording_without_a_start_is_left_out_once(station: Skope) -> None:
     Path("north/f", TRACKS_CSV).write_text("nonsense")
     Path("north/f", FOOTAGE_FILE).write_text("{")
     read = read_station(Path("station.toml"))
-    work = StationWork(read, Database.open(read.database))
-    lines = list(work.work_off())
+    work = StationWork(read, Database.open(read.database), not_needed)
+    lines = list(work.work_off(rest=False))
     assert len(lines) == 4
     assert "start time is not known; left out" in lines[0]
     assert "north/f" in lines[1]
-    assert list(work.work_off()) == []
+    assert list(work.work_off(rest=False)) == []
 
 
 def test_a_killed_station_loses_and_doubles_nothing(station: Skope) -> None:
@@ -195,7 +201,7 @@ def test_tables_of_another_version_are_not_touched(station: Skope) -> None:
         file.execute("update skope_schema set version = 99")
     code, _, err = station("eval", "station", "station.toml", "--once")
     assert code == 2
-    assert "its tables have version 99, expected 1" in err
+    assert "its tables have version 99, expected 2" in err
 
 
 @pytest.fixture(scope="module")
@@ -255,7 +261,7 @@ def test_an_unreachable_database_is_tried_again(station: Skope, monkeypatch: pyt
     read = read_station(Path("station.toml"))
     database = Database.open(read.database)
     tries: list[int] = []
-    real = database.digests
+    real = database.measured_days
 
     def fails_once(camera: str) -> Any:
         tries.append(1)
@@ -263,8 +269,9 @@ def test_an_unreachable_database_is_tried_again(station: Skope, monkeypatch: pyt
             raise UserError("database: gone")
         return real(camera)
 
-    monkeypatch.setattr(database, "digests", fails_once)
+    monkeypatch.setattr(database, "measured_days", fails_once)
     monkeypatch.setattr("skope.station.database.Database.open", lambda _: database)
+    monkeypatch.setattr("skope.station.supervise.end_with_parent", lambda: None)
     waits: list[float] = []
 
     def wait(seconds: float) -> None:
@@ -273,7 +280,49 @@ def test_an_unreachable_database_is_tried_again(station: Skope, monkeypatch: pyt
             raise KeyboardInterrupt
 
     monkeypatch.setattr("skope.eval.cli.station.time.sleep", wait)
-    code, out, err = station("eval", "station", "station.toml", "--interval", 5)
-    assert (code, waits) == (130, [5.0, 5.0])
-    assert "database: gone; trying again" in err
-    assert out.count("events") == 2
+    measure_station(5.0, Path("station.toml"))
+    assert waits == [5.0, 5.0]
+    assert len(tries) == 2
+    assert len(database.days("north")) == 2
+
+
+def test_recordings_that_overlap_are_left_out_and_the_day_is_measured(station: Skope) -> None:
+    record("north/a2", "2026-11-26T10:00:20+01:00", 7)
+    code, out, _ = station("eval", "station", "station.toml", "--once")
+    assert code == 0
+    assert "north/a2: overlaps the one before it; left out" in out
+    assert "north: 2026-11-26: 2 recordings, 11 events" in out
+
+
+def test_a_day_that_was_just_measured_waits(station: Skope) -> None:
+    read = read_station(Path("station.toml"))
+    database = Database.open(read.database)
+    work = StationWork(read, database, not_needed)
+    assert len(list(work.work_off())) == 2
+    record("north/d", "2026-11-27T00:31:00+01:00", 3)
+    with sqlite3.connect("traffic.db") as file:
+        file.execute("update days set took_s = 100")
+    assert list(work.work_off()) == []
+    with sqlite3.connect("traffic.db") as file:
+        file.execute("update days set took_s = 0")
+    assert list(work.work_off()) == ["north: 2026-11-27: 2 recordings, 5 events"]
+
+
+def test_tables_of_version_1_are_extended(station: Skope) -> None:
+    assert station("eval", "station", "station.toml", "--once")[0] == 0
+    wanted = state()
+    with sqlite3.connect("traffic.db") as file:
+        file.execute("drop table recordings")
+        file.execute("alter table days drop column took_s")
+        file.execute("update skope_schema set version = 1")
+    assert station("eval", "station", "station.toml", "--once")[0] == 0
+    assert rows_of("select version from skope_schema") == [(2,)]
+    assert state() == wanted
+
+
+def test_recordings_have_a_row_each(station: Skope) -> None:
+    assert station("eval", "station", "station.toml", "--once")[0] == 0
+    rows = rows_of("select folder, begin, frames, observed_s, moved from recordings order by begin")
+    assert [row[0] for row in rows] == ["a", "b", "c"]
+    assert [row[2:] for row in rows] == [(600, pytest.approx(60.0), 0)] * 3
+    assert rows[0][1].startswith("2026-11-26 09:00:00")
