@@ -60,6 +60,7 @@ def make_app(
         dependencies=[Depends(check)],
         docs_url=None,
         redoc_url=None,
+        openapi_url=None,  # below, because dependencies do not apply to FastAPI's own
     )
 
     @app.exception_handler(UserError)
@@ -86,6 +87,11 @@ def make_app(
     ) -> list[dict[str, Any]]:
         """Return rows of a table of a day, from number `first` on."""
         return database.rows(table, camera, day)[first : first + limit]
+
+    @app.get("/openapi.json", include_in_schema=False)
+    def description() -> dict[str, Any]:
+        """Return the description of the API."""
+        return app.openapi()
 
     @app.get("/metrics", response_class=PlainTextResponse)
     def metrics() -> PlainTextResponse:

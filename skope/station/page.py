@@ -97,20 +97,19 @@ def totals(rows: Iterable[Mapping[str, Any]]) -> dict[tuple[str, str], dict[str,
     return dict(found)
 
 
-def observed_share(rows: Iterable[Mapping[str, Any]]) -> float | None:
-    """Return the observed share of the counting intervals of a day; None without intervals."""
+def observed_minutes(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return the observed time and the length of the counting intervals of a day, in words."""
     intervals = {(row["begin_s"], row["end_s"]): row["observed_s"] or 0.0 for row in rows}
-    span = sum(end - begin for begin, end in intervals)
-    return min(1.0, math.fsum(intervals.values()) / span) if span > 0 else None
+    length_s = math.fsum(end - begin for begin, end in intervals)
+    return f"{math.fsum(intervals.values()) / 60:.0f} of {length_s / 60:.0f} min"
 
 
 def _counts_table(caption: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     found = totals(rows)
     classes = [name for name in dict.fromkeys(name for of_gate in found.values() for name in of_gate) if name != _EVERY]
     shown = [name for name in classes if any(of_gate.get(name) for of_gate in found.values())]
-    share = observed_share(rows)
     return Table(
-        caption=caption if share is None else f"{caption}; {100 * share:.0f}% of the time observed",
+        caption=f"{caption}; {observed_minutes(rows)} observed",
         head=("gate, direction", *shown, _EVERY),
         rows=[
             (f"{gate}, {direction}", *(_count(of_gate.get(name)) for name in shown), _count(of_gate.get(_EVERY)))
@@ -125,9 +124,9 @@ def _days_table(counts: Mapping[Any, Sequence[Mapping[str, Any]]]) -> Table:
     gates = list(dict.fromkeys(gate for found in by_day.values() for gate in found))
     rows = []
     for day, found in by_day.items():
-        share = observed_share(counts[day])
-        observed = "" if share is None else f"{100 * share:.0f}%"
-        rows.append((str(day), observed, *(_count(found.get(gate, {}).get(_EVERY)) for gate in gates)))
+        rows.append(
+            (str(day), observed_minutes(counts[day]), *(_count(found.get(gate, {}).get(_EVERY)) for gate in gates))
+        )
     head = ("day", "observed", *(f"{gate}, {direction}" for gate, direction in gates))
     return Table(caption=f"Last {len(by_day)} days", head=head, rows=rows)
 

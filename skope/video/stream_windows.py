@@ -19,6 +19,9 @@ class WindowLimits:
     clock_step_s: float = 10.0
     """Difference between the times of frames and this computer's clock above which the clock was set, seconds. A frame
     may arrive some seconds late."""
+    shortest: float = 0.1
+    """Minimum length of the first window, as a share of the length of the others; a shorter one is longer by a whole
+    window instead."""
 
 
 WINDOW_LIMITS: Final = WindowLimits()
@@ -63,7 +66,10 @@ class StreamWindows:
         while self._next is not None or self._take():
             first_s = self._next_s
             begin = self._begin(first_s)
-            end_s = first_s + self._seconds - begin.timestamp() % self._seconds
+            left_s = self._seconds - begin.timestamp() % self._seconds
+            if left_s < WINDOW_LIMITS.shortest * self._seconds:
+                left_s += self._seconds
+            end_s = first_s + left_s
             frames = self._until(first_s, end_s)
             yield StreamWindow(self._stream.name, self._stream.clip, begin, frames)
             for _ in frames:

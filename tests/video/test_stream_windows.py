@@ -74,6 +74,12 @@ def test_a_window_after_a_step_of_the_clock_has_the_new_time(step_s: float) -> N
     assert seconds == [0.0, 60.0, 120.0 + step_s, 180.0 + step_s]
 
 
+def test_a_first_window_of_a_moment_is_part_of_the_second() -> None:
+    stream = Played([57.0 + k / 10 for k in range(1300)])
+    lengths = [len(list(window.frames())) for window in StreamWindows(stream, 60.0, Clock(stream))]
+    assert lengths == [630, 600, 70]
+
+
 def test_what_is_not_read_of_a_window_is_passed_over() -> None:
     stream = Played([float(k) for k in range(180)])
     firsts = [next(window.frames())[0].frame_index for window in StreamWindows(stream, 60.0, Clock(stream))]

@@ -65,7 +65,9 @@ def _supervisor(
     from skope.station.supervise import Publisher, Supervisor
 
     publishers = list[Publisher]()
-    supervisor = Supervisor(read, partial(watch_camera, hardware), partial(measure_station, interval), publishers, console)
+    supervisor = Supervisor(
+        read, partial(watch_camera, hardware), partial(measure_station, interval), publishers, console
+    )
     if read.http:
         from skope.station.http_api import HttpServer, make_app
 
