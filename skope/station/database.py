@@ -91,7 +91,7 @@ TABLES: Final = tuple(_DAY_TABLES)
 
 @dataclass(frozen=True)
 class MeasuredDay:
-    """What a station knows about a day of a camera that it has measured."""
+    """Measurement of a camera's day: of which recordings, how long it took, and when."""
 
     digest: str
     """Digest of the recordings, the site and the version of skope."""

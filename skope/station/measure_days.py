@@ -1,6 +1,7 @@
 """Measure the recordings of a station's cameras, day by day, and write the traffic into its database."""
 
 import hashlib
+import shutil
 import time
 from collections import defaultdict
 from collections.abc import Generator, Iterator
@@ -74,6 +75,7 @@ class StationWork:
                     yield from self._left_out(folder, f"{camera.name}: {folder}: its start time is not known; left out")
                 else:
                     days[begin.date()].append(folder)
+            yield from self._forget(camera, days)
             for day, folders in sorted(days.items()):
                 digest = self._digest(folders, camera)
                 last = measured.get(day)
@@ -122,6 +124,23 @@ class StationWork:
             observed_s=observation.observed_s,
             moved=bool(len(observation.camera_moved_s) or observation.turned),
         )
+
+    def _forget(self, camera: StationCamera, days: dict[date, list[Path]]) -> Iterator[str]:
+        """Delete tracks, events and speeds of the days that are no longer kept; remove them from `days`.
+
+        Folders of recordings that do not come from a stream of this station are kept.
+        """
+        keep_days = self._station.keep_days
+        if keep_days is None:
+            return
+        first = datetime.now(UTC).date() - timedelta(days=keep_days)
+        for day in [day for day in days if day < first]:
+            folders = days.pop(day)
+            for folder in folders if camera.stream is not None else ():
+                shutil.rmtree(folder, ignore_errors=True)
+        deleted = self._database.forget(camera.name, first)
+        if deleted:
+            yield f"{camera.name}: deleted {counted(deleted, 'event')} of the days before {first}"
 
     def _left_out(self, folder: Path, line: str) -> Iterator[str]:
         if folder not in self._reported:

@@ -18,7 +18,7 @@ _EVERY: Final = "all"
 
 @dataclass(frozen=True)
 class _MeasuredCamera:
-    """What the page shows of a camera."""
+    """Notes and tables of a camera."""
 
     name: str
     notes: Sequence[str]

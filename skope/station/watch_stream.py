@@ -4,6 +4,7 @@ Each window becomes a folder of detections, as `skope eval predict` writes it. A
 file is gone. A process that was killed leaves an incomplete window; the next one completes it with what was detected.
 """
 
+import contextlib
 import math
 import time
 from collections.abc import Iterator, Sequence
@@ -182,7 +183,8 @@ class StreamWatch:
 
     def _save(self, state: StreamState) -> None:
         self._saved_s, self._state = time.monotonic(), state
-        write_json(self._camera.state, replace(state, updated=datetime.now(UTC)).to_dict())
+        with contextlib.suppress(UserError):  # a full disk; the camera is reported as silent
+            write_json(self._camera.state, replace(state, updated=datetime.now(UTC)).to_dict())
 
     @property
     def _quiet(self) -> Console:

@@ -13,7 +13,7 @@ from skope.video.footage import FrameRange, LiveStream
 
 
 @dataclass(frozen=True)
-class WindowLimits:
+class StreamWindowLimits:
     """Tolerances of the times of windows."""
 
     clock_step_s: float = 10.0
@@ -24,7 +24,7 @@ class WindowLimits:
     window instead."""
 
 
-WINDOW_LIMITS: Final = WindowLimits()
+STREAM_WINDOW_LIMITS: Final = StreamWindowLimits()
 
 
 class StreamWindow(LiveStream):
@@ -67,7 +67,7 @@ class StreamWindows:
             first_s = self._next_s
             begin = self._begin(first_s)
             left_s = self._seconds - begin.timestamp() % self._seconds
-            if left_s < WINDOW_LIMITS.shortest * self._seconds:
+            if left_s < STREAM_WINDOW_LIMITS.shortest * self._seconds:
                 left_s += self._seconds
             end_s = first_s + left_s
             frames = self._until(first_s, end_s)
@@ -97,7 +97,7 @@ class StreamWindows:
         if self._stream.start_time is None:
             return now
         begin = self._stream.start_time + timedelta(seconds=first_s) + self._set
-        if abs((now - begin).total_seconds()) > WINDOW_LIMITS.clock_step_s:
+        if abs((now - begin).total_seconds()) > STREAM_WINDOW_LIMITS.clock_step_s:
             self._set += now - begin
             begin = now
         return begin

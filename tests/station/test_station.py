@@ -11,7 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -326,3 +326,23 @@ def test_recordings_have_a_row_each(station: Skope) -> None:
     assert [row[0] for row in rows] == ["a", "b", "c"]
     assert [row[2:] for row in rows] == [(600, pytest.approx(60.0), 0)] * 3
     assert rows[0][1].startswith("2026-11-26 09:00:00")
+
+
+def test_days_that_are_no_longer_kept_lose_events_but_not_counts(station: Skope) -> None:
+    assert station("eval", "station", "station.toml", "--once")[0] == 0
+    counts = rows_of("select * from counts order by 1, 2, 3")
+    now = datetime.now(UTC)
+    record("north/new", now.isoformat(), 3)
+    Path("station.toml").write_text("keep_days = 2\n" + STATION.format(address="sqlite:///traffic.db"))
+    read = read_station(Path("station.toml"))
+    of_stream = replace(read, cameras=tuple(replace(camera, stream="rtsp://camera") for camera in read.cameras))
+    for kept in (read, of_stream):
+        lines = list(StationWork(kept, Database.open(read.database), not_needed).work_off(rest=False))
+        old = [
+            row for row in rows_of("select day from events") if row[0] < (now - timedelta(days=2)).date().isoformat()
+        ]
+        assert old == []
+        assert set(rows_of("select * from counts")) >= set(counts)
+        assert Path("north/a").is_dir() == (kept is read), lines
+    assert Path("north/new").is_dir()
+    assert len(rows_of(f"select 1 from events where day = '{now.date()}'")) == 3
