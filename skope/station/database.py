@@ -91,7 +91,7 @@ TABLES: Final = tuple(_DAY_TABLES)
 
 @dataclass(frozen=True)
 class MeasuredDay:
-    """Measurement of a camera's day: of which recordings, how long it took, and when."""
+    """Measurement of a camera's day: digest of the recordings, duration and time."""
 
     digest: str
     """Digest of the recordings, the site and the version of skope."""
