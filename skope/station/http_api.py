@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, Literal
 
 import uvicorn
 from fastapi import Depends, FastAPI, HTTPException, Query, Request
-from fastapi.responses import HTMLResponse, PlainTextResponse
+from fastapi.responses import FileResponse, HTMLResponse, PlainTextResponse
 from prometheus_client import CollectorRegistry, Gauge, generate_latest
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 
@@ -16,7 +16,7 @@ from skope.errors import UserError
 from skope.station.database import Database
 from skope.station.health import STATES, CameraHealth
 from skope.station.page import station_page
-from skope.station.station_file import HttpAddress
+from skope.station.station_file import HttpAddress, StationCamera
 from skope.version import __version__
 
 Table = Literal["counts", "events", "speeds", "visibility", "recordings"]
@@ -30,12 +30,12 @@ _GAUGES: Final = {
 
 
 def make_app(
-    names: Sequence[str], database: Database, health: Callable[[], list[CameraHealth]], token: str = ""
+    cameras: Sequence[StationCamera], database: Database, health: Callable[[], list[CameraHealth]], token: str = ""
 ) -> FastAPI:
     """Return the application.
 
     Args:
-        names: Names of the cameras.
+        cameras: The cameras.
         database: The database of the station.
         health: Returns the health of all cameras.
         token: Token that each request must carry, as `Authorization: Bearer TOKEN` or `?token=TOKEN`; empty: none.
@@ -46,6 +46,9 @@ def make_app(
         given = given or request.query_params.get("token", "")
         if token and not hmac.compare_digest(given.encode(), token.encode()):
             raise HTTPException(401, "the token is missing or wrong")
+
+    pictures = {camera.name: camera.latest_picture for camera in cameras if camera.picture != "none"}
+    names = [camera.name for camera in cameras]
 
     def known(camera: str) -> str:
         if camera not in names:
@@ -68,7 +71,7 @@ def make_app(
         return PlainTextResponse(str(error), 503)
 
     @app.get("/api/cameras")
-    def cameras() -> list[dict[str, Any]]:
+    def states() -> list[dict[str, Any]]:
         """Return the health of all cameras."""
         return [camera.to_dict() for camera in health()]
 
@@ -88,6 +91,13 @@ def make_app(
         """Return rows of a table of a day, from number `first` on."""
         return database.rows(table, camera, day)[first : first + limit]
 
+    @app.get("/api/cameras/{camera}/picture", response_class=FileResponse)
+    def picture(camera: Camera) -> FileResponse:
+        """Return the latest picture of a camera (JPEG), if the station file asks for it."""
+        if camera not in pictures or not pictures[camera].is_file():
+            raise HTTPException(404, f"no picture of camera {camera!r}")
+        return FileResponse(pictures[camera], media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+
     @app.get("/openapi.json", include_in_schema=False)
     def description() -> dict[str, Any]:
         """Return the description of the API."""
@@ -99,9 +109,10 @@ def make_app(
         return PlainTextResponse(metrics_text(health()), media_type=CONTENT_TYPE_PLAIN_0_0_4)
 
     @app.get("/", response_class=HTMLResponse)
-    def page() -> HTMLResponse:
+    def page(request: Request) -> HTMLResponse:
         """Return the page of the station."""
-        return HTMLResponse(station_page(database, health()))
+        shown = [name for name, path in pictures.items() if path.is_file()]
+        return HTMLResponse(station_page(database, health(), shown, request.url.query))
 
     return app
 

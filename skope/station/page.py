@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Final
+from urllib.parse import quote
 
 from skope.page.templates import Table, render, text_of
 from skope.station.database import Database
@@ -25,8 +26,16 @@ class _MeasuredCamera:
     tables: Sequence[Table]
 
 
-def station_page(database: Database, health: Sequence[CameraHealth]) -> str:
+def station_page(
+    database: Database, health: Sequence[CameraHealth], pictures: Sequence[str] = (), query: str = ""
+) -> str:
     """Return the page as HTML.
+
+    Args:
+        database: The database of the station.
+        health: Health of all cameras.
+        pictures: Names of the cameras that have a picture.
+        query: Query of the page's address, which may have a token; addresses of pictures have it too.
 
     Raises:
         UserError: The database cannot be read.
@@ -38,6 +47,7 @@ def station_page(database: Database, health: Sequence[CameraHealth]) -> str:
         style=text_of("page/page.css"),
         cameras=_health_table(health),
         measured=[_measured(database, camera.camera) for camera in health],
+        pictures={name: f"/api/cameras/{quote(name)}/picture?{query}" for name in pictures},
     )
 
 

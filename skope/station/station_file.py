@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from skope.detector import weights
-from skope.errors import UserError
+from skope.errors import UserError, one_of
 from skope.files import safe_names
 from skope.files.atomic import sha256_of
 from skope.records import TomlTable, dataclass_of
@@ -15,6 +15,8 @@ T = TypeVar("T")
 
 AUTO: Final = "auto"
 """Detector of a camera: the first of those that come with skope that runs in real time."""
+PICTURES: Final = ("none", "blurred", "plain")
+"""Kinds of the latest picture of a camera. Blurred: without glass, plates and heads."""
 LOCAL_HOSTS: Final = ("127.0.0.1", "localhost", "::1")
 """Addresses of this machine only."""
 
@@ -28,6 +30,7 @@ class _CameraEntry:
     stream: str = ""
     tracks: str = ""
     detector: str = AUTO
+    picture: str = PICTURES[0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +83,8 @@ class StationCamera:
     """Address of the live stream; None: recordings come from elsewhere."""
     detector: str | None
     """Detector for the stream; None: the first of those that come with skope that runs in real time."""
+    picture: str
+    """One of `PICTURES`."""
     folder: Path
     """Folder of the station's files on this camera."""
     tracks: Path
@@ -94,6 +99,11 @@ class StationCamera:
     def tracking(self) -> Path:
         """Folder of the window that is being tracked."""
         return self.folder / "tracking"
+
+    @property
+    def latest_picture(self) -> Path:
+        """The latest picture, unless `picture` is "none"."""
+        return self.folder / "latest.jpg"
 
     @property
     def state(self) -> Path:
@@ -168,6 +178,7 @@ def _camera(path: Path, entry: Any, folder: Path, where: str) -> StationCamera:
         site_sha256=sha256_of(site.path),
         stream=read.stream or None,
         detector=_detector(read.detector, path, where),
+        picture=one_of(f"{where}.picture", read.picture, PICTURES),
         folder=folder / name,
         tracks=path.parent / read.tracks if read.tracks else folder / name / "tracks",
     )

@@ -167,11 +167,11 @@ def end_with_parent() -> None:
         raise KeyboardInterrupt
 
     def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(SUPERVISION_LIMITS.first_pause_s)
-        os.kill(os.getpid(), signal.SIGTERM)
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os.kill(os.getpid(), signal.SIGTERM)
 
-    parent = os.getppid()
     signal.signal(signal.SIGTERM, interrupt)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=watch, daemon=True).start()

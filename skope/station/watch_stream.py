@@ -24,6 +24,7 @@ from skope.footage.predict_footage import Prediction, load_frame_detector
 from skope.footage.predict_job import PROGRESS_FILE, PredictJob, claim
 from skope.pose.camera_error import COVARIANCE_KEY
 from skope.schema import Image
+from skope.station.latest_picture import LatestPicture
 from skope.station.station_file import StationCamera
 from skope.terminal.console import Console
 from skope.video.footage import LiveStream, open_footage
@@ -90,6 +91,7 @@ class StreamWatch:
         self._detector: Predictor | LiveDetectorSelector | None = None
         self._state = StreamState(updated=datetime.now(UTC))
         self._saved_s = -math.inf
+        self._picture = LatestPicture(camera.latest_picture, camera.site.gates, blur=camera.picture != "plain")
 
     def run(self) -> None:
         """Read the stream until the process is stopped (KeyboardInterrupt); open it again whenever it ends."""
@@ -131,8 +133,11 @@ class StreamWatch:
         out = self._camera.seen / begin.strftime(WINDOW_NAME)
         prediction = self._prediction(window, out, camera)
         try:
-            for image, found in prediction.frames():
+            watched = [] if self._camera.picture == "none" else [self._picture]
+            for image, found in prediction.frames(watched):
                 self._note(begin, image, len(found), prediction.images)
+                if watched and self._detector is not None:
+                    self._picture.write(found, camera, self._detector.scheme)
         finally:
             if prediction.images:
                 prediction.write(self._quiet)

@@ -13,6 +13,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
 pytest.importorskip("fastapi")
@@ -21,12 +23,17 @@ pytest.importorskip("paho.mqtt")
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
+from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.files.json_files import write_json
+from skope.keypoints import SKOPE33
+from skope.schema import Image
+from skope.site.gates_zones_lanes import Gate
 from skope.station.check import check_broker
 from skope.station.database import Database
 from skope.station.health import RUNNING, SILENT, STARTING, CameraHealth, health_of
 from skope.station.http_api import HttpServer, make_app, metrics_text
+from skope.station.latest_picture import LatestPicture
 from skope.station.mqtt import MqttPublisher
 from skope.station.page import observed_minutes, totals
 from skope.station.station_file import HttpAddress, MqttBroker, StationCamera, read_station
@@ -58,7 +65,8 @@ def free_port() -> int:
 def served(database: Database) -> Iterator[str]:
     """The address of the API of the station; it requires a token."""
     address = HttpAddress(port=free_port(), token="secret")
-    server = HttpServer(make_app(["north"], database, lambda: [HEALTH], address.token), address)
+    cameras = [replace(camera, picture="blurred") for camera in read_station(Path("station.toml")).cameras]
+    server = HttpServer(make_app(cameras, database, lambda: [HEALTH], address.token), address)
     try:
         yield f"http://127.0.0.1:{address.port}"
     finally:
@@ -139,6 +147,27 @@ def test_a_gone_database_is_an_error_not_a_crash(served: str) -> None:
     assert code in (200, 503)  # an open connection may still read the file
     if code == 503:
         assert "database" in text
+
+
+def test_a_picture_is_there_when_it_was_written(served: str) -> None:
+    assert get(f"{served}/api/cameras/north/picture")[0] == 404
+    assert "<img" not in get(f"{served}/")[1]
+    path = read_station(Path("station.toml")).cameras[0].latest_picture
+    gate = Gate(name="west", line=((10.0, -6.0), (10.0, 6.0)))
+    camera = Camera.looking([0, 0, 6.0], yaw=0.0, pitch_down=0.3, size=(320, 180), fov=1.0)
+    picture = LatestPicture(path, [gate], blur=True)
+    frame = np.full((180, 320, 3), 90, np.uint8)
+    list(picture.watch(iter([(Image(id=1, file_name="a", width=320, height=180), frame)])))
+    path.parent.mkdir(parents=True)
+    picture.write([], camera, SKOPE33)
+    request = urllib.request.Request(f"{served}/api/cameras/north/picture?token=secret")
+    with urllib.request.urlopen(request, timeout=5) as answer:
+        shown = cv2.imdecode(np.frombuffer(answer.read(), np.uint8), cv2.IMREAD_COLOR)
+    ends = camera.project(np.array([[10.0, -6.0, 0.0], [10.0, 6.0, 0.0]]))[0]
+    middle = ends.mean(axis=0).round().astype(int)
+    assert shown[middle[1], middle[0]].tolist() == pytest.approx([0, 220, 255], abs=40)
+    assert shown[20, 160].tolist() == pytest.approx([90, 90, 90], abs=6)
+    assert 'src="/api/cameras/north/picture?token=secret"' in get(f"{served}/?token=secret", "")[1]
 
 
 def test_metrics_are_those_of_prometheus() -> None:

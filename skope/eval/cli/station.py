@@ -71,8 +71,7 @@ def _supervisor(
     if read.http:
         from skope.station.http_api import HttpServer, make_app
 
-        names = [camera.name for camera in read.cameras]
-        app = make_app(names, database, supervisor.health, read.http.token)
+        app = make_app(read.cameras, database, supervisor.health, read.http.token)
         publishers.append(HttpServer(app, read.http))
         console.result(f"page: http://{read.http.host}:{read.http.port}")
     if read.mqtt:
