@@ -24,6 +24,14 @@ def complete_windows(camera: StationCamera) -> list[Path]:
     )
 
 
+def set_aside(camera: StationCamera, window: Path) -> Path:
+    """Move the folder of a window that cannot be used to the folder `failed` of its camera; return its new path."""
+    failed = camera.folder / "failed" / window.name
+    failed.parent.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(failed, ignore_errors=True)
+    return window.rename(failed)
+
+
 def track_windows(camera: StationCamera, track: Track) -> Iterator[str]:
     """Track each complete window, move its tracks to the recordings, and remove its detections.
 
@@ -38,11 +46,7 @@ def track_windows(camera: StationCamera, track: Track) -> Iterator[str]:
                 for _ in track(seen, camera.tracking / seen.name):
                     pass
             except UserError as error:
-                yield f"{camera.name}: {seen.name}: not tracked: {error}"
-                failed = camera.folder / "failed" / seen.name
-                failed.parent.mkdir(parents=True, exist_ok=True)
-                shutil.rmtree(failed, ignore_errors=True)
-                seen.rename(failed)
+                yield f"{camera.name}: {seen.name}: not tracked: {error}; moved to {set_aside(camera, seen)}"
                 continue
             camera.tracks.mkdir(parents=True, exist_ok=True)
             (camera.tracking / seen.name).rename(finished)

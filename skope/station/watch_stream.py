@@ -6,9 +6,10 @@ file is gone. A process that was killed leaves an incomplete window; the next on
 
 import contextlib
 import math
+import os
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final
@@ -26,6 +27,7 @@ from skope.pose.camera_error import COVARIANCE_KEY
 from skope.schema import Image
 from skope.station.latest_picture import LatestPicture
 from skope.station.station_file import StationCamera
+from skope.station.track_windows import set_aside
 from skope.terminal.console import Console
 from skope.video.footage import LiveStream, open_footage
 from skope.video.stream_windows import StreamWindow, StreamWindows
@@ -52,6 +54,8 @@ class StreamState:
     """State of the process that reads a stream."""
 
     updated: datetime
+    process: int = field(default_factory=os.getpid)
+    """Number of the process."""
     last_frame: datetime | None = None
     """Time of the last frame that was analysed; None: none yet."""
     frames: int = 0
@@ -119,12 +123,23 @@ class StreamWatch:
         Raises:
             UserError: The detector cannot be loaded, the camera does not fit the frames, or a file cannot be written.
         """
-        for file in sorted(self._camera.seen.glob(f"*/{PROGRESS_FILE}")):
-            left = StreamWindow(stream.name, stream.clip, None, iter(()))
-            self._prediction(left, file.parent, self._camera_of(None)).write(self._quiet)
+        if self._detector is None:
+            empty = StreamWindow(stream.name, stream.clip, None, iter(()))
+            self._detector = load_frame_detector(self._job(empty, self._camera.seen, None), self._console)
         parts = StreamWindows(stream, self._window_s)
         for window in parts:
-            yield self._detect(window, self._camera_of(parts.frame_size))
+            camera = self._camera_of(parts.frame_size)
+            self._complete(stream, camera)
+            yield self._detect(window, camera)
+
+    def _complete(self, stream: LiveStream, camera: Camera) -> None:
+        """Write the results of the windows that a killed process has left; set those aside that are not its own."""
+        for file in sorted(self._camera.seen.glob(f"*/{PROGRESS_FILE}")):
+            left = StreamWindow(stream.name, stream.clip, None, iter(()))
+            try:
+                self._prediction(left, file.parent, camera).write(self._quiet)
+            except UserError as error:
+                self._console.warn(f"{self._camera.name}: {error}; moved to {set_aside(self._camera, file.parent)}")
 
     def _detect(self, window: StreamWindow, camera: Camera) -> Path:
         """Detect road users in a window; return its folder."""
@@ -144,10 +159,16 @@ class StreamWatch:
         return out
 
     def _prediction(self, window: StreamWindow, out: Path, camera: Camera) -> Prediction:
+        assert self._detector is not None
+        job = self._job(window, out, camera)
+        claim(job, self._detector.files)
+        return Prediction(job, self._detector)
+
+    def _job(self, window: StreamWindow, out: Path, camera: Camera | None) -> PredictJob:
         site_camera = self._camera.site.camera
         assert site_camera is not None
         known = site_camera.known
-        job = PredictJob(
+        return PredictJob(
             footage=window,
             checkpoint=None if self._camera.detector is None else Path(self._camera.detector),
             out=out,
@@ -155,13 +176,9 @@ class StreamWatch:
             camera=camera,
             camera_info={COVARIANCE_KEY: known.covariance_dict()} if known else {},
         )
-        if self._detector is None:
-            self._detector = load_frame_detector(job, self._console)
-        claim(job, self._detector.files)
-        return Prediction(job, self._detector)
 
     def _camera_of(self, size: tuple[int, int] | None) -> Camera:
-        """Return the site's camera at the size of the frames; None: at its own."""
+        """Return the site's camera at the size of the frames (None: not known)."""
         assert self._camera.site.camera is not None
         camera = self._camera.site.camera.camera
         return (

@@ -1,0 +1,110 @@
+"""A station that reads a stream: killed, started again and stopped, it has each frame at most once, in order."""
+
+import itertools
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("sqlalchemy")
+
+from skope.dataset import coco
+from skope.dataset.folder import FRAMES_FILE, START_TIME_KEY
+from skope.traffic.observation import read_observation
+from tests.video.test_live import Web
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "own_road"
+STATION = """window_minutes = 0.1
+
+[[cameras]]
+name = "north"
+site = "traffic.toml"
+stream = "{address}"
+detector = "road33-lite"
+"""
+
+
+def until(true: Callable[[], Any], seconds: float = 60.0) -> Any:
+    """What `true` returns as soon as it is true; fails after some time."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if found := true():
+            return found
+        time.sleep(0.1)
+    raise AssertionError(true)
+
+
+def state() -> dict[str, Any]:
+    try:
+        return dict(json.loads(Path("station/north/state.json").read_bytes()))
+    except FileNotFoundError:
+        return {"frames": 0, "process": 0}
+
+
+def frame_times() -> list[datetime]:
+    """Times of all frames in the recordings and in the windows that are not tracked yet."""
+    found: list[datetime] = []
+    for folder in Path("station/north/tracks").glob("*"):
+        observation = read_observation(folder)
+        assert observation.start_time is not None
+        found += [observation.start_time + timedelta(seconds=float(time_s)) for time_s in observation.times_s]
+    for folder in Path("station/north/seen").glob("*"):
+        file = coco.read(folder / FRAMES_FILE)
+        begin = datetime.fromisoformat(file.info[START_TIME_KEY])
+        found += [begin + timedelta(seconds=image.time_s or 0.0) for image in file.images]
+    return sorted(found)
+
+
+def test_a_killed_camera_process_loses_what_it_was_working_on_only(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("camera.yml", "traffic.toml"):
+        shutil.copy(EXAMPLE / name, name)
+    # Pictures with the aspect ratio of the site's camera, 5 per second, for each of several connections.
+    camera = Web([[(0.2, (192, 108))] * 3000] * 12)
+    Path("station.toml").write_text(STATION.format(address=camera.address))
+    command = [sys.executable, "-m", "skope", "eval", "station", "station.toml", "--min-size", "128"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as run:
+        try:
+            first = until(lambda: state()["frames"] > 15 and state())
+            os.kill(first["process"], signal.SIGKILL)
+            until(lambda: state()["process"] != first["process"] and state()["frames"] > 15)
+        finally:
+            run.send_signal(signal.SIGTERM)
+            said, _ = run.communicate(timeout=60)
+    assert run.returncode == 0, said
+    assert "its process ended with code -9; starting again" in said
+    times = frame_times()
+    steps = np.array([(b - a).total_seconds() for a, b in itertools.pairwise(times)])
+    assert len(times) > 30
+    assert steps.min() > 0.05, "a frame is there twice"
+    # Long gaps are the restart, and the first image of each process. Windows follow each other without a gap.
+    assert np.sum(steps > 1.0) <= 3
+    assert not list(Path("station/north").glob("failed/*")), said
+
+
+def test_a_second_station_on_the_same_folder_is_refused(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("camera.yml", "traffic.toml"):
+        shutil.copy(EXAMPLE / name, name)
+    Path("station.toml").write_text(STATION.format(address="http://127.0.0.1:9/none.mjpg"))
+    command = [sys.executable, "-m", "skope", "eval", "station", "station.toml"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as run:
+        try:
+            until(lambda: Path("station/.lock").exists())
+            time.sleep(0.5)
+            second = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        finally:
+            run.send_signal(signal.SIGTERM)
+            run.wait(30)
+    assert second.returncode == 2
+    assert "another process runs this station" in second.stderr
