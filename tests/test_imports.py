@@ -80,7 +80,7 @@ GEN = (
 SHARED = (
     {"cpu_count", "errors", "confidence_level", "types", "version"},
     {"keypoints"},
-    {"boxes", "files"},
+    {"boxes", "files", "ray_cluster"},
     {"records"},
     {"camera", "terminal"},
     {"schema", "site"},

@@ -29,6 +29,7 @@ class _CameraEntry:
     site: str
     stream: str = ""
     tracks: str = ""
+    videos: str = ""
     detector: str = AUTO
     picture: str = PICTURES[0]
 
@@ -81,8 +82,10 @@ class StationCamera:
     """Checksum of the site file as it was read. The file may change later."""
     stream: str | None
     """Address of the live stream; None: recordings come from elsewhere."""
+    videos: Path | None
+    """Folder of an archive of video files; None: there is none."""
     detector: str | None
-    """Detector for the stream; None: the first of those that come with skope that runs in real time."""
+    """Detector; None: the first of those that come with skope that runs in real time."""
     picture: str
     """One of `PICTURES`."""
     folder: Path
@@ -164,19 +167,19 @@ def read_station(path: Path) -> Station:
 def _camera(path: Path, entry: Any, folder: Path, where: str) -> StationCamera:
     read = dataclass_of(_CameraEntry, entry, where, _defaults(_CameraEntry))
     name = safe_names.name(f"{where}.name", read.name)
-    if bool(read.stream) == bool(read.tracks):
-        raise UserError(f"{where}: expected either stream or tracks")
+    if sum(map(bool, (read.stream, read.tracks, read.videos))) != 1:
+        raise UserError(f"{where}: expected one of stream, videos and tracks")
     site = read_site(path.parent / read.site)
-    if read.stream:
-        if "://" not in read.stream:
-            raise UserError(f"{where}.stream: expected an address like rtsp://camera/stream, got {read.stream!r}")
-        if site.camera is None:
-            raise UserError(f"{where}.site: {site.path} has no camera; a station needs a calibrated camera")
+    if read.stream and "://" not in read.stream:
+        raise UserError(f"{where}.stream: expected an address like rtsp://camera/stream, got {read.stream!r}")
+    if site.camera is None and not read.tracks:
+        raise UserError(f"{where}.site: {site.path} has no camera; a station needs a calibrated camera")
     return StationCamera(
         name=name,
         site=site,
         site_sha256=sha256_of(site.path),
         stream=read.stream or None,
+        videos=path.parent / read.videos if read.videos else None,
         detector=_detector(read.detector, path, where),
         picture=one_of(f"{where}.picture", read.picture, PICTURES),
         folder=folder / name,

@@ -13,6 +13,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -21,6 +22,7 @@ pytest.importorskip("sqlalchemy")
 from skope.dataset import coco
 from skope.dataset.folder import FRAMES_FILE, START_TIME_KEY
 from skope.traffic.observation import read_observation
+from skope.video.write import write_video
 from tests.video.test_live import Web
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_road"
@@ -108,3 +110,62 @@ def test_a_second_station_on_the_same_folder_is_refused(tmp_path: Path, monkeypa
             run.wait(30)
     assert second.returncode == 2
     assert "another process runs this station" in second.stderr
+
+
+ARCHIVE = """[[cameras]]
+name = "bridge"
+site = "traffic.toml"
+videos = "videos"
+"""
+
+
+def write_archive(folder: Path) -> None:
+    """A station with an archive of three clips of the empty road, and a file that is no video."""
+    for name in ("camera.yml", "traffic.toml"):
+        shutil.copy(EXAMPLE / name, folder / name)
+    (folder / "station.toml").write_text(ARCHIVE)
+    road = cv2.resize(cv2.imread(str(EXAMPLE / "empty.jpg")), (320, 180))[..., ::-1]
+    for minute in range(3):
+        frames = (np.roll(road, k, axis=1) for k in range(10))
+        (folder / "videos").mkdir(exist_ok=True)
+        write_video(folder / "videos" / f"2026-11-26_10-0{minute}-00.mp4", frames, 5.0)
+    (folder / "videos" / "2026-11-26_10-09-00.mp4").write_bytes(b"no video")
+
+
+def ray_workers() -> list[str]:
+    """Numbers of the processes that work on a video."""
+    found = subprocess.run(["pgrep", "-f", "ray::_problem_of"], capture_output=True, text=True, check=False)
+    return found.stdout.split()
+
+
+def archive_files(folder: Path) -> dict[str, bytes]:
+    tracks = folder / "station" / "bridge" / "tracks"
+    return {
+        path.relative_to(tracks).as_posix(): path.read_bytes()
+        for name in ("tracks.csv", "footage.json")
+        for path in sorted(tracks.glob(f"*/{name}"))
+    }
+
+
+def test_ray_makes_the_recordings_of_one_process_though_a_worker_is_lost(tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    made, said = {}, {}
+    for engine in ("local", "ray"):
+        folder = tmp_path / engine
+        folder.mkdir()
+        write_archive(folder)
+        command = [sys.executable, "-m", "skope", "eval", "station", "station.toml", "--once", "--min-size", "128"]
+        with subprocess.Popen(
+            [*command, "--engine", engine], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        ) as run:
+            if engine == "ray":
+                os.kill(int(until(ray_workers)[0]), signal.SIGKILL)
+            said[engine], _ = run.communicate(timeout=200)
+        assert run.returncode == 0, said[engine]
+        made[engine] = archive_files(folder)
+    assert len(made["local"]) == 6
+    assert made["ray"] == made["local"]
+    assert all("2026-11-26: 3 recordings" in text for text in said.values())
+    assert all("2026-11-26_10-09-00.mp4: not recorded: " in text for text in said.values())
+    again = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    assert "1 of 1" in again.stdout  # only the file that is no video is tried again

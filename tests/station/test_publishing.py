@@ -306,7 +306,7 @@ stream = "rtsp://camera/stream"
         ("[http]\nport = 70000\n", "http.port: expected"),
         ('[mqtt]\nhost = "broker"\ntopic = "a/#"\n', "mqtt.topic: expected"),
         ("[mqtt]\nport = 1883\n", "mqtt.host: missing"),
-        (STREAMS + 'tracks = "south"\n', "cameras[1]: expected either stream or tracks"),
+        (STREAMS + 'tracks = "south"\n', "cameras[1]: expected one of stream, videos and tracks"),
         (STREAMS.replace("rtsp://camera/stream", "camera"), "cameras[1].stream: expected an address"),
         (STREAMS.replace("traffic.toml", "site.toml"), "has no camera"),
         (STREAMS + 'detector = "road99"\n', "cameras[1].detector: expected auto, road33, road33-lite or a file"),

@@ -17,6 +17,7 @@ from skope.gen.scene import recording as recordings
 from skope.gen.scene.package_versions import versions
 from skope.gen.scene.recording import Recording, RecordingInfo, RecordingPlan
 from skope.gen.simulation.simulate import simulate_together
+from skope.ray_cluster import ray_cluster
 
 MOST_LOST_WORKERS: Final = 20
 """Maximum number of workers that may be lost before the run stops."""
@@ -155,22 +156,8 @@ def ray_pool(count: int | None, address: str | None) -> Iterator[WorkerPool]:
     Raises:
         UserError: Ray is not installed, there is no cluster at `address`, or it has fewer cores than `count`.
     """
-    try:
-        import ray
-    except ImportError:
-        raise UserError("--engine ray: Ray is not installed; install it with pip install skope[ray]") from None
-    started_here = not ray.is_initialized()
-    if started_here:
-        quiet: dict[str, Any] = {"logging_level": "error", "log_to_driver": False, "include_dashboard": False}
-        try:
-            ray.init(address=address, **quiet)
-        except (ConnectionError, ValueError, RuntimeError) as error:
-            raise UserError(f"--address {address}: no Ray cluster there: {str(error).splitlines()[0]}") from None
-    try:
-        cores = int(ray.cluster_resources().get("CPU", 0))  # type: ignore[no-untyped-call]
+    with ray_cluster(address) as ray:
+        cores = int(ray.cluster_resources().get("CPU", 0))
         if not 0 < (count or cores) <= cores:
             raise UserError(f"--workers {count or cores}: the Ray cluster has {cores} cores")
         yield RayPool(ray, count or cores)
-    finally:
-        if started_here:
-            ray.shutdown()
