@@ -19,7 +19,7 @@ from skope.camera.motion.camera_shake import CameraShakeEstimator, motion_of_row
 from skope.camera.motion.followed_views import with_homographies
 from skope.camera.motion.frame_contrast import visibility_rows
 from skope.camera.motion.image_shift import ImageMotion
-from skope.camera.motion.view_changes import ViewChange, ViewSamples
+from skope.camera.motion.view_changes import VIEW_CHANGES, ViewChange, ViewSamples, change_since
 from skope.cpu_count import usable_processors
 from skope.dataset import coco
 from skope.dataset.camera_of_file import with_camera
@@ -150,8 +150,15 @@ class Prediction:
                 self._last_key = self.images[-1].id
                 self._last_numbers = [result.get("track_id", 0) for result in row["results"]]
             job.footage.skipped += [reason for reason in row["skipped"] if reason not in job.footage.skipped]
+        self.view_changes: list[ViewChange] = []
+        """Changes of the view, after `write`."""
         self.killed = job.footage.live and bool(self.images)
         """Whether a run of a live stream was killed here. The stream cannot be read again, so nothing is added."""
+
+    @property
+    def last_look(self) -> str | None:
+        """Small image of the end of the footage; None if the footage is too short to find a change of view."""
+        return self._looks[-1][1] if len(self._looks) >= 2 * VIEW_CHANGES.lasting_frames else None
 
     @property
     def last(self) -> int:
@@ -193,8 +200,12 @@ class Prediction:
         if look is not None and image.time_s is not None:
             self._looks.append((image.time_s, look))
 
-    def write(self, console: Console) -> list[Path]:
+    def write(self, console: Console, before: str | None = None) -> list[Path]:
         """Write predictions, frames and, on request, overlays; return their paths.
+
+        Args:
+            console: Console for the results.
+            before: Small image of the camera's view before the footage, if it continues other footage.
 
         Raises:
             UserError: No frame could be read.
@@ -211,9 +222,11 @@ class Prediction:
         coco.write_result_rows(written[0], (seen.noted(result) for row in progress.rows() for result in kept(row)))
         record, looked = record_of(images, self._motions, images[0].width), self._looks
         changed = record.view_changes(looked) if job.footage.clip else []
+        changed = [*(change_since(before, looked) if before else ()), *changed]
         if changed:
             changed = with_homographies(job.footage, changed, images[-1].time_s or 0.0)
         shake = record.motion(changed) if job.footage.clip else None
+        self.view_changes = changed
         for change in changed:
             console.result(f"{job.footage.name}: {change}")
         if shake:

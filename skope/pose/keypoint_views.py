@@ -363,14 +363,15 @@ class _OtherViews:
 def _other_views(file: AnnotationFile, calibrated: object, camera: Camera | None) -> _OtherViews:
     """Return the images for which a calibration is invalid, and the cameras of those to which it can be turned.
 
-    The calibration belongs to the first view of the footage, unless its `source` and `seconds` name another view.
+    The calibration belongs to the first view of the footage, unless its `source` and `seconds` name another view. A
+    change at the first image means that the first view was that of earlier footage.
     `camera` is None if its pose is unknown: then it cannot be turned.
     """
     views = read_views(file.name, file.info)
     part = _parts(file, views)
     if part is None:
         return _OtherViews()
-    first = 0
+    valid = 0
     if isinstance(calibrated, Mapping) and calibrated.get("source") == file.info.get("source"):
         try:
             middle = float(np.mean([float(second) for second in calibrated["seconds"]]))
@@ -378,7 +379,7 @@ def _other_views(file: AnnotationFile, calibrated: object, camera: Camera | None
             raise UserError(f"{file.name}: calibrated.seconds: expected two numbers") from None
         times = [image.time_s or 0.0 for image in file.images]
         first = int(np.searchsorted(times, middle).clip(0, len(part) - 1))
-    valid = int(next((k for k in part[first:] if k != REGISTRATION_LIMITS.moving_view), 0))
+        valid = int(next((k for k in part[first:] if k != REGISTRATION_LIMITS.moving_view), 0))
     if (part == valid).all():
         return _OtherViews()
     found = {} if camera is None else _turned_views(views, valid, sized(camera, _shape(file), file.name))

@@ -109,6 +109,11 @@ class StationCamera:
         return self.folder / "latest.jpg"
 
     @property
+    def view(self) -> Path:
+        """File with a small image of the view for which the site file is valid."""
+        return self.folder / "view.json"
+
+    @property
     def state(self) -> Path:
         """File with the state of the process that reads the stream."""
         return self.folder / "state.json"

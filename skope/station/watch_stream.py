@@ -19,7 +19,7 @@ from skope.dataset.camera_of_file import fitted_camera
 from skope.detector.network_settings import Settings
 from skope.detector.predictor import Predictor
 from skope.errors import UserError
-from skope.files.json_files import write_json
+from skope.files.json_files import read_json, write_json
 from skope.footage.live_choice import LiveDetectorSelector
 from skope.footage.predict_footage import Prediction, load_frame_detector
 from skope.footage.predict_job import PROGRESS_FILE, PredictJob, claim
@@ -137,7 +137,7 @@ class StreamWatch:
         for file in sorted(self._camera.seen.glob(f"*/{PROGRESS_FILE}")):
             left = StreamWindow(stream.name, stream.clip, None, iter(()))
             try:
-                self._prediction(left, file.parent, camera).write(self._quiet)
+                self._write(self._prediction(left, file.parent, camera))
             except UserError as error:
                 self._console.warn(f"{self._camera.name}: {error}; moved to {set_aside(self._camera, file.parent)}")
 
@@ -155,8 +155,20 @@ class StreamWatch:
                     self._picture.write(found, camera, self._detector.scheme)
         finally:
             if prediction.images:
-                prediction.write(self._quiet)
+                self._write(prediction)
         return out
+
+    def _write(self, prediction: Prediction) -> None:
+        """Write the results of a window, and compare its view with that of the windows before it.
+
+        A window whose view has changed does not become the new reference: positions are wrong until the camera is
+        turned back, or the station starts again with a changed site file.
+        """
+        held = read_json(self._camera.view) if self._camera.view.is_file() else None
+        before = held["look"] if held and held["site"] == self._camera.site_sha256 else None
+        prediction.write(self._quiet, before)
+        if prediction.last_look is not None and not prediction.view_changes:
+            write_json(self._camera.view, {"site": self._camera.site_sha256, "look": prediction.last_look})
 
     def _prediction(self, window: StreamWindow, out: Path, camera: Camera) -> Prediction:
         assert self._detector is not None

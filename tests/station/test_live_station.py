@@ -8,8 +8,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from datetime import datetime, timedelta
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,17 @@ pytest.importorskip("sqlalchemy")
 
 from skope.dataset import coco
 from skope.dataset.folder import FRAMES_FILE, START_TIME_KEY
+from skope.detector.network_settings import Settings
+from skope.eval.cli.tracked_footage import track_folder
+from skope.schema import Image
+from skope.station.station_file import read_station
+from skope.station.watch_stream import StreamWatch
+from skope.terminal.console import Console
 from skope.traffic.observation import read_observation
+from skope.types import Pixels
+from skope.video.container import VideoInfo
+from skope.video.footage import FrameRange, LiveStream
+from skope.video.stream_windows import StreamWindows
 from skope.video.write import write_video
 from tests.video.test_live import Web
 
@@ -169,3 +179,42 @@ def test_ray_makes_the_recordings_of_one_process_though_a_worker_is_lost(tmp_pat
     assert all("2026-11-26_10-09-00.mp4: not recorded: " in text for text in said.values())
     again = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
     assert "1 of 1" in again.stdout  # only the file that is no video is tried again
+
+
+class Turning(LiveStream):
+    """A stream of the empty road at 5 frames per second; the camera is turned from one time to another."""
+
+    def __init__(self, count: int, from_s: float, to_s: float) -> None:
+        super().__init__("north", FrameRange(), clip=VideoInfo(address="rtsp://camera", live=True))
+        self._count, self._from_s, self._to_s = count, from_s, to_s
+
+    def frames(self, first: int = 0) -> Iterator[tuple[Image, Pixels]]:
+        road = cv2.resize(cv2.imread(str(EXAMPLE / "empty.jpg")), (320, 180))[..., ::-1]
+        rng = np.random.default_rng(5)
+        self.start_time = datetime(2026, 11, 26, 10, tzinfo=UTC)
+        for k in range(self._count):
+            time_s = k / 5
+            turned = np.roll(road, 40 if self._from_s <= time_s < self._to_s else 0, axis=1)
+            pixels = np.clip(turned + rng.normal(0, 2, road.shape), 0, 255).astype(np.uint8)
+            name = f"north/{k:06d}"
+            yield Image(id=k + 1, file_name=name, width=320, height=180, frame_index=k, time_s=time_s), pixels
+
+
+def test_a_camera_that_was_turned_at_the_seam_of_windows_is_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("camera.yml", "traffic.toml"):
+        shutil.copy(EXAMPLE / name, name)
+    Path("station.toml").write_text(STATION.format(address="rtsp://camera"))
+    (camera,) = read_station(Path("station.toml")).cameras
+    stream = Turning(150, 12.0, 18.0)
+    clock = iter(datetime(2026, 11, 26, 10, 0, second, tzinfo=UTC) for second in (0, 6, 12, 18, 24))
+    monkeypatch.setattr(StreamWindows.__init__, "__defaults__", (lambda: next(clock),))
+    watch = StreamWatch(camera, 6.0, Settings(min_size=128, backend="openvino"), Console(quiet=True))
+    seen = list(watch.windows(stream))
+    assert len(seen) == 5
+    for window in seen:
+        list(track_folder(window, Path("tracks", window.name), Console(quiet=True)))
+    observed = [read_observation(Path("tracks", window.name)).observed_s for window in seen]
+    assert observed == [pytest.approx(6.0, abs=0.3) if k != 2 else 0.0 for k in range(5)]

@@ -85,6 +85,8 @@ def with_fitted_ground(
         return scene, None
     asking: dict[str, Any] = {"score": score, "noise": noise, "sigma_px": sigma_px}
     calibrated = scene.calibrated_part()  # a camera that was turned sees the same road
+    if not calibrated.file.images:  # the camera was moved before the footage
+        return scene, None
     cameras = _images_of_cameras(calibrated)
     if len(cameras) > 1:
         if asked == "fit":

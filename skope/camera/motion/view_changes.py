@@ -7,7 +7,7 @@ returns, it was only hidden or shaken.
 
 import base64
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import cv2
@@ -129,6 +129,23 @@ def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] =
             reference = shown
             out.append(ViewChange(began_s, cut=shift is None, shift=shift or 0.0))
     return out
+
+
+def change_since(before: str, looks: Sequence[tuple[float, str]]) -> list[ViewChange]:
+    """Return the change of view between an earlier small image and the beginning of footage; empty for none.
+
+    Args:
+        before: Small image of the view before the footage.
+        looks: Times (seconds) and small images of the footage. With fewer than `VIEW_CHANGES.lasting_frames`, no change
+            is found.
+    """
+    if not looks:
+        return []
+    begin_s = looks[0][0]
+    first = looks[: 2 * VIEW_CHANGES.lasting_frames]
+    return [
+        replace(change, time_s=begin_s) for change in changes([(begin_s - VIEW_CHANGES.interval_s, before), *first])
+    ]
 
 
 def _shows(first: Array, second: Array) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from skope.camera.motion.view_changes import ViewChange, ViewSamples, changes
+from skope.camera.motion.view_changes import ViewChange, ViewSamples, change_since, changes
 from skope.dataset.folder import read_image
 from skope.schema import Image
 
@@ -21,8 +21,8 @@ def view(name: str, shift: tuple[int, int] = (0, 0)) -> NDArray[np.uint8]:
     return np.ascontiguousarray(picture[y : y + SIZE[1], x : x + SIZE[0]])
 
 
-def seen(pictures: list[NDArray[np.uint8]], fps: float = 5.0) -> list[ViewChange]:
-    """The changes in footage with noise, in which boxes drive by and the light changes."""
+def looks_of(pictures: list[NDArray[np.uint8]], fps: float = 5.0) -> list[tuple[float, str]]:
+    """Small images of footage with noise, in which boxes drive by and the light changes."""
     rng = np.random.default_rng(0)
 
     def frames() -> list[tuple[Image, NDArray[np.uint8]]]:
@@ -39,7 +39,27 @@ def seen(pictures: list[NDArray[np.uint8]], fps: float = 5.0) -> list[ViewChange
 
     looks = ViewSamples()
     times = {image.id: image.time_s for image, _ in looks.watch(frames()) if image.time_s is not None}
-    return changes([(times[number], look) for number, look in looks.taken.items()])
+    return [(times[number], look) for number, look in looks.taken.items()]
+
+
+def seen(pictures: list[NDArray[np.uint8]], fps: float = 5.0) -> list[ViewChange]:
+    """The changes in such footage."""
+    return changes(looks_of(pictures, fps))
+
+
+@pytest.mark.parametrize(("shift", "wanted"), [((0, 0), []), ((20, 0), [20 / 640]), ((-7, 5), [np.hypot(7, 5) / 640])])
+def test_a_camera_that_was_turned_before_the_footage_is_told(shift: tuple[int, int], wanted: list[float]) -> None:
+    before = looks_of([view("noon.jpg")] * 25)[-1][1]
+    found = change_since(before, looks_of([view("noon.jpg", shift)] * 25))
+    assert [change.shift for change in found] == pytest.approx(wanted, abs=0.002)
+    assert [change.time_s for change in found] == [0.0] * len(wanted)
+    assert not any(change.cut for change in found)
+
+
+def test_footage_too_short_for_a_change_tells_none() -> None:
+    before = looks_of([view("noon.jpg")] * 25)[-1][1]
+    assert change_since(before, looks_of([view("noon.jpg", (20, 0))] * 5)) == []
+    assert change_since(before, []) == []
 
 
 def test_a_view_that_stays_does_not_change() -> None:
