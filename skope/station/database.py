@@ -135,7 +135,7 @@ class Database:
                 of another version of skope.
         """
         with _named_errors("database"):
-            engine = sql.create_engine(address)
+            engine = sql.create_engine(address, pool_pre_ping=True)
         if engine.dialect.name == "sqlite":
             sql.event.listen(engine, "connect", _use_wal)
         database = cls(engine)

@@ -55,8 +55,8 @@ class MqttPublisher:
                     rows = self._database.rows("counts", camera.camera, day["day"])
                     self._send(camera.camera, "counts", {"day": day["day"], "measured": day["measured"], "rows": rows})
                     self._published[camera.camera] = day["digest"]
-            except UserError as error:
-                self._console.warn(f"{error}; trying again")
+            except UserError:  # the measuring process reports it
+                return
 
     def close(self) -> None:
         """Report the station as offline, and disconnect."""

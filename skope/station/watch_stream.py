@@ -111,7 +111,8 @@ class StreamWatch:
                 message = stream.broken_off or message
             except UserError as error:
                 message = str(error)
-            self._console.warn(f"{self._camera.name}: {message}; trying again")
+            if message != self._state.message:  # a long outage is one line
+                self._console.warn(f"{self._camera.name}: {message}; trying again")
             self._save(replace(self._state, message=message))
             time.sleep(WATCH_LIMITS.reopen_s)
 

@@ -160,14 +160,19 @@ def measure_station(interval: float, file: Path) -> None:
     end_with_parent()
     console, work = Console(), None
     try:
-        read = read_station(file)
+        read, problem = read_station(file), ""
         while True:
             try:
                 work = work or _work_of(read, Database.open(read.database), console)
                 for line in work.work_off():
                     console.result(line)
+                if problem:
+                    console.result("database: reached again")
+                problem = ""
             except UserError as error:
-                console.warn(f"{error}; trying again")
+                if str(error) != problem:  # a long outage is one line
+                    problem = str(error)
+                    console.warn(f"{problem}; trying again")
             time.sleep(interval)
     except KeyboardInterrupt:
         return
