@@ -9,7 +9,7 @@ from typing import Final
 from skope.dataset.camera_of_file import fitted_camera
 from skope.errors import UserError
 from skope.station.database import Database
-from skope.station.station_file import MqttBroker, Station, StationCamera
+from skope.station.station_file import HttpAddress, MqttBroker, Station, StationCamera
 from skope.terminal.console import Console
 from skope.video.footage import LiveStream, open_footage
 
@@ -34,6 +34,9 @@ def check_station(station: Station, console: Console) -> bool:
         for camera in station.cameras
     ]
     checks.append(("database", lambda: Database.open(station.database).name))
+    if station.http:
+        address = station.http
+        checks.append(("http", lambda: check_port(address)))
     if station.mqtt:
         broker = station.mqtt
         checks.append(("mqtt", lambda: check_broker(broker)))
@@ -75,6 +78,15 @@ def check_camera(camera: StationCamera) -> str:
     where = f"{camera.site.path}: camera"
     _, scaled = fitted_camera(camera.site.camera.camera, size, where, camera.name)
     return f"{size[0]}x{size[1]}, {rate}; {scaled or f'{where} fits'}"
+
+
+def check_port(address: HttpAddress) -> str:
+    """Try the port of the page; return its address. Raises UserError if it is in use."""
+    try:
+        socket.create_server((address.host, address.port)).close()
+    except OSError as error:
+        raise UserError(f"http: {address.host}:{address.port}: {error.strerror or error}") from None
+    return f"http://{address.host}:{address.port}"
 
 
 def check_broker(broker: MqttBroker) -> str:

@@ -50,7 +50,8 @@ def health_of(camera: StationCamera, restarts: int = 0, now: datetime | None = N
         state = read_json(camera.state)
         last = state["last_frame"]
         quiet_s = None if last is None else (now - datetime.fromisoformat(last)).total_seconds()
-        measured = {name: state[name] for name in ("last_frame", "rate", "skipped", "delay_s", "in_view", "message")}
+        shown = ("last_frame", "rate", "skipped", "delay_s", "in_view", "message") if last else ("message",)
+        measured = {name: state[name] for name in shown}
     except (UserError, KeyError, TypeError, ValueError):  # not written yet
         return CameraHealth(camera=camera.name, state=STARTING, restarts=restarts)
     silent = bool(state["message"]) or (quiet_s is not None and quiet_s > SILENT_S)

@@ -140,7 +140,7 @@ class HttpServer:
         Raises:
             UserError: The address is in use, or not one of this machine.
         """
-        config = uvicorn.Config(app, address.host, address.port, log_level="error", access_log=False)
+        config = uvicorn.Config(app, address.host, address.port, log_level="critical", access_log=False)
         try:
             socket = config.bind_socket()
         except (OSError, SystemExit):

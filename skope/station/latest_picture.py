@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
@@ -60,6 +61,7 @@ class LatestPicture:
         pixels = draw.results(pixels, vehicles, others, scheme=scheme)
         for gate in self._gates:
             self._draw_gate(pixels, gate, camera)
+        pixels = draw.caption(pixels, f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC")
         good, data = cv2.imencode(".jpg", pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
         assert good
         write_bytes(self._path, data.tobytes())
@@ -71,4 +73,6 @@ class LatestPicture:
         corners = np.rint(at[visible]).astype(np.int32)
         if len(corners) > 1:
             cv2.polylines(pixels, [corners], isClosed=False, color=_GATE_COLOR, thickness=2, lineType=cv2.LINE_AA)
-            cv2.putText(pixels, gate.name, tuple(corners[0].tolist()), cv2.FONT_HERSHEY_SIMPLEX, 0.5, _GATE_COLOR, 1)
+            at_end = tuple((corners[0] + [4, -6]).tolist())
+            for color, width in (((0, 0, 0), 3), (_GATE_COLOR, 1)):
+                cv2.putText(pixels, gate.name, at_end, cv2.FONT_HERSHEY_SIMPLEX, 0.5, color, width, cv2.LINE_AA)

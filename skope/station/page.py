@@ -57,7 +57,7 @@ def _health_table(health: Sequence[CameraHealth]) -> Table:
         (
             camera.camera,
             f"{camera.state}: {camera.message}" if camera.message else camera.state,
-            "" if camera.last_frame is None else camera.last_frame[:19].replace("T", " "),
+            "" if camera.last_frame is None else camera.last_frame[11:19],
             _number(camera.rate, 1),
             "" if camera.skipped is None else f"{100 * camera.skipped:.0f}%",
             "" if camera.delay_s is None else f"{camera.delay_s:.1f} s",
@@ -66,7 +66,7 @@ def _health_table(health: Sequence[CameraHealth]) -> Table:
         )
         for camera in health
     ]
-    return Table(caption="Cameras", head=head, rows=rows)
+    return Table(caption="Cameras", head=head, rows=rows, sticky=True)
 
 
 def _number(value: float | None, digits: int) -> str:
@@ -116,10 +116,12 @@ def observed_minutes(rows: Iterable[Mapping[str, Any]]) -> str:
 
 def _counts_table(caption: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     found = totals(rows)
-    classes = [name for name in dict.fromkeys(name for of_gate in found.values() for name in of_gate) if name != _EVERY]
+    names = dict.fromkeys(name for of_gate in found.values() for name in of_gate)
+    classes = [name for name in names if name not in (_EVERY, "vehicle")]
     shown = [name for name in classes if any(of_gate.get(name) for of_gate in found.values())]
     return Table(
-        caption=f"{caption}; {observed_minutes(rows)} observed",
+        caption=f"{caption}: {observed_minutes(rows)} of its counting intervals are observed",
+        sticky=True,
         head=("gate, direction", *shown, _EVERY),
         rows=[
             (f"{gate}, {direction}", *(_count(of_gate.get(name)) for name in shown), _count(of_gate.get(_EVERY)))
@@ -138,7 +140,7 @@ def _days_table(counts: Mapping[Any, Sequence[Mapping[str, Any]]]) -> Table:
             (str(day), observed_minutes(counts[day]), *(_count(found.get(gate, {}).get(_EVERY)) for gate in gates))
         )
     head = ("day", "observed", *(f"{gate}, {direction}" for gate, direction in gates))
-    return Table(caption=f"Last {len(by_day)} days", head=head, rows=rows)
+    return Table(caption=f"Last {len(by_day)} days", head=head, rows=rows, sticky=True)
 
 
 def _count(value: float | None) -> str:

@@ -174,7 +174,12 @@ def _camera(path: Path, entry: Any, folder: Path, where: str) -> StationCamera:
     name = safe_names.name(f"{where}.name", read.name)
     if sum(map(bool, (read.stream, read.tracks, read.videos))) != 1:
         raise UserError(f"{where}: expected one of stream, videos and tracks")
-    site = read_site(path.parent / read.site)
+    try:
+        site = read_site(path.parent / read.site)
+    except UserError as error:
+        raise UserError(f"{where}.site: {error}") from None
+    if not (site.gates or site.zones or site.lanes):
+        raise UserError(f"{where}.site: {site.path} has no gates, zones or lanes: nothing can be counted")
     if read.stream and "://" not in read.stream:
         raise UserError(f"{where}.stream: expected an address like rtsp://camera/stream, got {read.stream!r}")
     if site.camera is None and not read.tracks:

@@ -5,7 +5,8 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
@@ -75,6 +76,22 @@ class _Supervised:
             self.starts, self.begun_s = self.starts + 1, now
 
 
+@contextmanager
+def held_station(station: Station) -> Iterator[None]:
+    """Hold the lock of a station's folder; use as a context manager.
+
+    Raises:
+        UserError: Another process runs this station.
+    """
+    station.folder.mkdir(parents=True, exist_ok=True)
+    try:
+        lock = hold_lock(station.folder / ".lock")
+    except BlockingIOError:
+        raise UserError(f"{station.path}: another process runs this station") from None
+    with lock:
+        yield
+
+
 class Supervisor:
     """Keeps the processes of a station running until it is stopped."""
 
@@ -114,20 +131,7 @@ class Supervisor:
         return health_of_all(self._station, self.restarts)
 
     def run(self) -> None:
-        """Run until SIGINT or SIGTERM, then end all processes: each writes what it has.
-
-        Raises:
-            UserError: Another process runs this station.
-        """
-        self._station.folder.mkdir(parents=True, exist_ok=True)
-        try:
-            lock = hold_lock(self._station.folder / ".lock")
-        except BlockingIOError:
-            raise UserError(f"{self._station.path}: another process runs this station") from None
-        with lock:
-            self._supervise()
-
-    def _supervise(self) -> None:
+        """Run until SIGINT or SIGTERM, then end all processes: each writes what it has."""
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: self._stopped.set())
         try:

@@ -7,6 +7,7 @@ file is gone. A process that was killed leaves an incomplete window; the next on
 import contextlib
 import math
 import os
+import shutil
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -28,7 +29,7 @@ from skope.schema import Image
 from skope.station.latest_picture import LatestPicture
 from skope.station.station_file import StationCamera
 from skope.station.track_windows import set_aside
-from skope.terminal.console import Console
+from skope.terminal.console import Console, SilentConsole
 from skope.video.footage import LiveStream, open_footage
 from skope.video.stream_windows import StreamWindow, StreamWindows
 
@@ -99,6 +100,8 @@ class StreamWatch:
 
     def run(self) -> None:
         """Read the stream until the process is stopped (KeyboardInterrupt); open it again whenever it ends."""
+        self._save(self._state)
+        self._camera.latest_picture.unlink(missing_ok=True)
         while True:
             message = "the stream ended"
             try:
@@ -155,8 +158,10 @@ class StreamWatch:
                 if watched and self._detector is not None:
                     self._picture.write(found, camera, self._detector.scheme)
         finally:
-            if prediction.images:
+            if len(prediction.images) > 1:
                 self._write(prediction)
+            else:  # the first image of a process, just before the end of a window
+                shutil.rmtree(out)
         return out
 
     def _write(self, prediction: Prediction) -> None:
@@ -167,7 +172,9 @@ class StreamWatch:
         """
         held = read_json(self._camera.view) if self._camera.view.is_file() else None
         before = held["look"] if held and held["site"] == self._camera.site_sha256 else None
-        prediction.write(self._quiet, before)
+        prediction.write(SilentConsole(), before)
+        for change in prediction.view_changes:
+            self._console.warn(f"{self._camera.name}: {change}")
         if prediction.last_look is not None and not prediction.view_changes:
             write_json(self._camera.view, {"site": self._camera.site_sha256, "look": prediction.last_look})
 
@@ -220,7 +227,3 @@ class StreamWatch:
         self._saved_s, self._state = time.monotonic(), state
         with contextlib.suppress(UserError):  # a full disk; the camera is reported as silent
             write_json(self._camera.state, replace(state, updated=datetime.now(UTC)).to_dict())
-
-    @property
-    def _quiet(self) -> Console:
-        return Console(quiet=True)

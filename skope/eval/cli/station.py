@@ -75,7 +75,10 @@ def station(
         for line in _work_of(read, database, console).work_off(rest=False):
             console.result(line)
         return
-    _supervisor(read, database, interval, hardware, console).run()
+    from skope.station.supervise import held_station
+
+    with held_station(read):
+        _supervisor(read, database, interval, hardware, console).run()
 
 
 def _supervisor(
