@@ -82,10 +82,9 @@ def check_camera(camera: StationCamera) -> str:
 
 def check_port(address: HttpAddress) -> str:
     """Try the port of the page; return its address. Raises UserError if it is in use."""
-    try:
-        socket.create_server((address.host, address.port)).close()
-    except OSError as error:
-        raise UserError(f"http: {address.host}:{address.port}: {error.strerror or error}") from None
+    from skope.station.http_api import bound_socket
+
+    bound_socket(address).close()
     return f"http://{address.host}:{address.port}"
 
 

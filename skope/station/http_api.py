@@ -1,6 +1,7 @@
 """Read-only HTTP API of a station, its metrics for Prometheus, and its page."""
 
 import hmac
+import socket
 import threading
 from collections.abc import Callable, Sequence
 from datetime import date
@@ -131,6 +132,19 @@ def metrics_text(health: Sequence[CameraHealth]) -> str:
     return generate_latest(registry).decode()
 
 
+def bound_socket(address: HttpAddress) -> socket.socket:
+    """Return a socket that listens at an address.
+
+    Raises:
+        UserError: The address is in use, or not one of this machine.
+    """
+    family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
+    try:
+        return socket.create_server((address.host, address.port), family=family)
+    except OSError as error:
+        raise UserError(f"http: {address.host}:{address.port}: {error.strerror or error}") from None
+
+
 class HttpServer:
     """Serves an application in a thread of its own."""
 
@@ -140,14 +154,10 @@ class HttpServer:
         Raises:
             UserError: The address is in use, or not one of this machine.
         """
-        config = uvicorn.Config(app, address.host, address.port, log_level="critical", access_log=False)
-        try:
-            socket = config.bind_socket()
-        except (OSError, SystemExit):
-            raise UserError(f"http: {address.host}:{address.port}: cannot be used, or is in use") from None
-        self._server = uvicorn.Server(config)
+        self._socket = bound_socket(address)
+        self._server = uvicorn.Server(uvicorn.Config(app, log_config=None, access_log=False))
         self._server.install_signal_handlers = lambda: None  # type: ignore[attr-defined]
-        self._thread = threading.Thread(target=self._server.run, args=([socket],), daemon=True)
+        self._thread = threading.Thread(target=self._server.run, args=([self._socket],), daemon=True)
         self._thread.start()
 
     def publish(self, health: Sequence[CameraHealth]) -> None:

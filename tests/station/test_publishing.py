@@ -29,7 +29,7 @@ from skope.files.json_files import write_json
 from skope.keypoints import SKOPE33
 from skope.schema import Image
 from skope.site.gates_zones_lanes import Gate
-from skope.station.check import check_broker
+from skope.station.check import check_broker, check_port
 from skope.station.database import Database
 from skope.station.health import RUNNING, SILENT, STARTING, CameraHealth, health_of
 from skope.station.http_api import HttpServer, make_app, metrics_text
@@ -327,3 +327,11 @@ def test_a_wrong_station_file_is_one_line(skope: Skope, text: str, said: str) ->
 
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_road"
+
+
+def test_a_port_in_use_is_one_line(database: Database) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as held:
+        address = HttpAddress(port=held.getsockname()[1])
+        for attempt in (lambda: HttpServer(make_app([], database, list), address), lambda: check_port(address)):
+            with pytest.raises(UserError, match=f"http: 127.0.0.1:{address.port}: Address already in use"):
+                attempt()
