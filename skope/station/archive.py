@@ -1,4 +1,4 @@
-"""Work off the archives of a station: folders of video files, of which each becomes a recording."""
+"""Work off the archives of a station: each file in a folder of videos becomes a recording."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
