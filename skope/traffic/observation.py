@@ -71,6 +71,8 @@ class Observation:
     """(L, 3) times (s, increasing), brightness (0 to 1) and contrast of sampled images; empty: not measured."""
     start_time: datetime | None = None
     """Time of second 0, with its zone, from the metadata of the footage; None: not available."""
+    end_s: float = math.inf
+    """End of the footage, seconds, if other footage begins before the usual end of the last frame."""
     parts: tuple["Observation", ...] = ()
     """Observations of the single recordings, in order, on the same time axis, each with its own camera. Empty for one
     recording."""
@@ -91,7 +93,7 @@ class Observation:
         cuts = np.flatnonzero((steps > longest_step_s(usual)) | moved)
         starts = self.times_s[np.concatenate([[0], cuts + 1]).astype(int)]
         ends = self.times_s[np.concatenate([cuts, [len(self.times_s) - 1]]).astype(int)]
-        return np.stack([starts, ends + usual], axis=1)
+        return np.stack([starts, np.minimum(ends + usual, max(self.end_s, ends[-1]))], axis=1)
 
     @cached_property
     def extent(self) -> tuple[float, float]:
@@ -99,7 +101,13 @@ class Observation:
         every = np.union1d(self.times_s, self.camera_moved_s)
         if not len(every):
             return 0.0, 0.0
-        return float(every[0]), float(every[-1]) + _usual_step(every)
+        return float(every[0]), max(float(every[-1]), min(float(every[-1]) + _usual_step(every), self.end_s))
+
+    @property
+    def last_frame_s(self) -> float:
+        """Time of the last frame, seconds; 0 without frames."""
+        every = np.union1d(self.times_s, self.camera_moved_s)
+        return float(every[-1]) if len(every) else 0.0
 
     @cached_property
     def recording_starts_s(self) -> Array:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Self
 from zoneinfo import ZoneInfo
 
 import numpy as np
@@ -153,6 +153,13 @@ class _Placed:
     def at(self, second: int) -> datetime:
         """Return the time at which its frames begin (`second` = 0) or end (1)."""
         return _later(self.begin, self.observation.extent[second])
+
+    def until(self, time: datetime) -> Self:
+        """Return the recording with its end at a time, if only the duration of its last frame is later."""
+        end_s = _seconds(time, self.begin)
+        if not self.observation.last_frame_s < end_s < self.observation.extent[1]:
+            return self
+        return replace(self, observation=replace(self.observation, end_s=end_s))
 
 
 def read_recordings(
@@ -319,16 +326,22 @@ def _without_overlap(placed: Sequence[_Placed]) -> Iterator[tuple[_Placed, float
         UserError: Two recordings overlap by more than `RECORDING_LIMITS.inexact_s`.
     """
     before: _Placed | None = None
+    before_late_s = 0.0
     for recording in placed:
-        late_s = 0.0 if before is None else max(0.0, _seconds(before.at(1), recording.at(0)))
+        late_s = 0.0
+        if before is not None:
+            before = before.until(recording.at(0))
+            late_s = max(0.0, _seconds(before.at(1), recording.at(0)))
+            yield before, before_late_s
         if before is not None and late_s > RECORDING_LIMITS.inexact_s:
             start_time, ends = (time.isoformat(timespec="seconds") for time in (recording.at(0), before.at(1)))
             raise UserError(
                 f"{recording.folder}: begins at {start_time}, before {before.folder} ends ({ends}): recordings of one "
                 "report must not overlap"
             )
-        before = replace(recording, begin=_later(recording.begin, late_s))
-        yield before, late_s
+        before, before_late_s = replace(recording, begin=_later(recording.begin, late_s)), late_s
+    if before is not None:
+        yield before, before_late_s
 
 
 def _together(parts: Sequence[Observation]) -> Observation:

@@ -6,7 +6,7 @@ import math
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
@@ -23,7 +23,7 @@ from skope.site.site_file import parse_site
 from skope.tracks.csv_file import TRACKS_CSV, write_tracks
 from skope.tracks.track import Track
 from skope.traffic.observation import FOOTAGE_FILE, Observation, frame_durations_s
-from skope.traffic.recordings import begin_in_name
+from skope.traffic.recordings import begin_in_name, read_recordings
 from skope.traffic.report_tables import report_tables
 from tests.sightings import drive
 from tests.traffic.drives import straight
@@ -339,3 +339,28 @@ def test_tracks_know_when_their_footage_began(skope: Skope) -> None:
     assert report.start == datetime(2026, 11, 26, 9, tzinfo=UTC), "its own begin, not that of another recording"
     later = door.measure_traffic("t", "site.toml", start_time="2026-11-26T13:00:00").start
     assert later == datetime(2026, 11, 26, 12, tzinfo=UTC)
+
+
+def test_windows_of_a_stream_with_irregular_frames_do_not_drift_apart() -> None:
+    """Each window ends with a frame, whose usual duration reaches beyond the first frame of the next window."""
+    rng = np.random.default_rng(1)
+    times_s = np.cumsum(rng.choice([0.2, 0.2, 0.2, 0.4, 0.6], 12_000))
+    begin = datetime(2026, 11, 26, 10, tzinfo=UTC)
+    site = parse_site(Path("site.toml"), SITE.format(head="").encode())
+    folders = []
+    for number, window in enumerate(np.split(times_s, np.flatnonzero(np.diff(times_s // 10)) + 1)):
+        folder = Path(f"w{number:04d}")
+        folder.mkdir()
+        write_tracks(folder / TRACKS_CSV, [])
+        start = begin + timedelta(seconds=float(window[0]))
+        known = Observation(times_s=window - window[0], source="camera", start_time=start)
+        write_json(folder / FOOTAGE_FILE, known.to_dict())
+        folders.append(folder)
+    footage = read_recordings(folders, (), site, "start_time")
+    assert len(footage.recordings) == len(folders) > 300
+    assert max(recording.late_s for recording in footage.recordings) < 0.01
+    spans = footage.observation.spans
+    assert (spans[1:, 0] - spans[:-1, 1] > -0.01).all()
+    # At a seam, the time after a frame's usual duration is not observed.
+    missing_s = times_s[-1] - times_s[0] - footage.observation.observed_s
+    assert -0.5 < missing_s < 0.4 * len(folders)
