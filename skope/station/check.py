@@ -94,13 +94,10 @@ def check_broker(broker: MqttBroker) -> str:
     Raises:
         UserError: The broker cannot be reached, or refuses the name or the password.
     """
-    import paho.mqtt.client as mqtt
-    from paho.mqtt.enums import CallbackAPIVersion
+    from skope.station.mqtt import client_of
 
     answers: list[str] = []
-    client = mqtt.Client(CallbackAPIVersion.VERSION2)
-    if broker.username:
-        client.username_pw_set(broker.username, broker.password or None)
+    client = client_of(broker)
     client.on_connect = lambda _client, _data, _flags, reason, _properties: answers.append(
         str(reason) if reason.is_failure else ""
     )

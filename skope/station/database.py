@@ -7,7 +7,7 @@ UTC.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import UTC, date, datetime
@@ -47,13 +47,17 @@ def _type_of(column: str) -> Any:
     return sql.Integer if column in _WHOLE else sql.Text if column in _TEXTS else sql.Double
 
 
+def _day_key() -> tuple[Any, Any]:
+    """Return the columns that name a day of a camera."""
+    return sql.Column("camera", sql.Text, primary_key=True), sql.Column("day", sql.Date, primary_key=True)
+
+
 _METADATA: Final = sql.MetaData()
 _SCHEMA: Final = sql.Table("skope_schema", _METADATA, sql.Column("version", sql.Integer, primary_key=True))
 _DAYS: Final = sql.Table(
     "days",
     _METADATA,
-    sql.Column("camera", sql.Text, primary_key=True),
-    sql.Column("day", sql.Date, primary_key=True),
+    *_day_key(),
     sql.Column("recordings", sql.Integer, nullable=False),
     sql.Column("digest", sql.Text, nullable=False),
     sql.Column("measured", sql.DateTime(timezone=True), nullable=False),
@@ -62,8 +66,7 @@ _DAYS: Final = sql.Table(
 _RECORDINGS: Final = sql.Table(
     "recordings",
     _METADATA,
-    sql.Column("camera", sql.Text, primary_key=True),
-    sql.Column("day", sql.Date, primary_key=True),
+    *_day_key(),
     sql.Column("folder", sql.Text, primary_key=True),
     sql.Column("begin", sql.DateTime(timezone=True), nullable=False),
     sql.Column("end", sql.DateTime(timezone=True), nullable=False),
@@ -75,8 +78,7 @@ _MEASURED: Final = {
     name: sql.Table(
         name,
         _METADATA,
-        sql.Column("camera", sql.Text, primary_key=True),
-        sql.Column("day", sql.Date, primary_key=True),
+        *_day_key(),
         sql.Column("row", sql.Integer, primary_key=True),
         *(sql.Column(column, _type_of(column)) for column in columns.split()),
     )
@@ -106,7 +108,9 @@ class RecordingRow:
     """A recording of a day."""
 
     begin: datetime
+    """Time of its first frame, UTC."""
     end: datetime
+    """Time of its end, UTC."""
     folder: str
     """Name of its folder."""
     frames: int
@@ -114,7 +118,7 @@ class RecordingRow:
     observed_s: float
     """Observed time without gaps, seconds."""
     moved: bool
-    """Whether the camera was moved during the recording."""
+    """True if the camera was moved in the recording."""
 
 
 class Database:
@@ -207,7 +211,7 @@ class Database:
             "measured": datetime.now(UTC),
             "took_s": measured.took_s,
         }
-        listed = [{"camera": camera, "day": day, **_row_in_utc(asdict(recording))} for recording in recordings]
+        listed = [{"camera": camera, "day": day, **asdict(recording)} for recording in recordings]
         with self._errors(), self._engine.begin() as connection:
             for table in (_DAYS, _RECORDINGS, *_MEASURED.values()):
                 connection.execute(sql.delete(table).where(table.c.camera == camera, table.c.day == day))
@@ -219,20 +223,26 @@ class Database:
             connection.execute(sql.insert(_DAYS).values(camera=camera, day=day, **day_row))
         return len(rows["events"])
 
-    def days(self, camera: str) -> list[dict[str, Any]]:
-        """Return the measured days of a camera, the newest first, as rows of the table `days`. Raises UserError."""
-        query = sql.select(_DAYS).where(_DAYS.c.camera == camera).order_by(_DAYS.c.day.desc())
-        return self._rows(query)
+    def days(self, camera: str, limit: int | None = None) -> list[dict[str, Any]]:
+        """Return rows of the table `days` of a camera, the newest first: `limit` of them, or all.
 
-    def rows(self, table: str, camera: str, day: date) -> list[dict[str, Any]]:
-        """Return the rows of a camera's day from one of `TABLES`, in order.
+        Raises:
+            UserError: The database cannot be read.
+        """
+        return self._rows(sql.select(_DAYS).where(_DAYS.c.camera == camera).order_by(_DAYS.c.day.desc()).limit(limit))
+
+    def rows(
+        self, table: str, camera: str, day: date, first: int = 0, limit: int | None = None
+    ) -> list[dict[str, Any]]:
+        """Return rows of a camera's day from one of `TABLES`, in order: `limit` of them from number `first` on, or all.
 
         Raises:
             UserError: The database cannot be read.
         """
         found = _DAY_TABLES[table]
         order = found.c.begin if table == "recordings" else found.c.row
-        return self._rows(sql.select(found).where(found.c.camera == camera, found.c.day == day).order_by(order))
+        query = sql.select(found).where(found.c.camera == camera, found.c.day == day).order_by(order)
+        return self._rows(query.limit(limit).offset(first))
 
     def forget(self, camera: str, before: date) -> int:
         """Delete the events, speeds and recordings of the days before a day; counts are kept.
@@ -286,10 +296,6 @@ def _named_errors(name: str) -> Iterator[None]:
 def _in_utc(value: datetime | None) -> datetime | None:
     """Return a time of the database with its zone: SQLite stores times in UTC without it."""
     return value if value is None or value.tzinfo is not None else value.replace(tzinfo=UTC)
-
-
-def _row_in_utc(row: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: _cell(value) for name, value in row.items()}
 
 
 def _cell(value: Any) -> Any:

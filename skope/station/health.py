@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from skope.errors import UserError
 from skope.files.json_files import read_json
-from skope.station.station_file import Station, StationCamera
+from skope.station.station_file import StationCamera
 
 SILENT_S: Final = 15.0
 """Time since the last frame after which a camera is silent, seconds."""
@@ -57,8 +57,3 @@ def health_of(camera: StationCamera, restarts: int = 0, now: datetime | None = N
     silent = bool(state["message"]) or (quiet_s is not None and quiet_s > SILENT_S)
     found = SILENT if silent else STARTING if quiet_s is None else RUNNING
     return CameraHealth(camera=camera.name, state=found, restarts=restarts, **measured)
-
-
-def health_of_all(station: Station, restarts: dict[str, int]) -> list[CameraHealth]:
-    """Return the health of all cameras; `restarts` counts restarts by camera."""
-    return [health_of(camera, restarts.get(camera.name, 0)) for camera in station.cameras]

@@ -90,7 +90,7 @@ def make_app(
         limit: Annotated[int, Query(ge=1, le=100_000)] = 10_000,
     ) -> list[dict[str, Any]]:
         """Return rows of a table of a day, from number `first` on."""
-        return database.rows(table, camera, day)[first : first + limit]
+        return database.rows(table, camera, day, first, limit)
 
     @app.get("/api/cameras/{camera}/picture", response_class=FileResponse)
     def picture(camera: Camera) -> FileResponse:

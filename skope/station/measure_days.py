@@ -43,8 +43,8 @@ class StationWork:
     def __init__(self, station: Station, database: Database, track: Track) -> None:
         """Prepare the work; `track` tracks a folder of detections."""
         self._station, self._database, self._track = station, database, track
-        self._begins: dict[tuple[Path, float], datetime | None] = {}
-        """Start of each recording, by folder and time of its last change."""
+        self._recordings: dict[tuple[Path, float], tuple[date, RecordingRow] | None] = {}
+        """Each recording with its day, by folder and time of its last change; None: its start is not known."""
         self._digests: dict[tuple[Path, float], str] = {}
         self._reported: set[Path] = set()
         """Recordings that were reported as left out."""
@@ -64,29 +64,31 @@ class StationWork:
         for camera in self._station.cameras:
             yield from track_windows(camera, self._track)
             measured = self._database.measured_days(camera.name)
-            days = defaultdict[date, list[Path]](list)
+            days = defaultdict[date, list[RecordingRow]](list)
             for folder in _recordings_of(camera):
                 try:
-                    begin = self._begin(folder, camera)
+                    dated = self._dated(folder, camera)
                 except UserError as error:
                     yield from self._left_out(folder, f"{camera.name}: {error}; left out")
                     continue
-                if begin is None:
+                if dated is None:
                     yield from self._left_out(folder, f"{camera.name}: {folder}: its start time is not known; left out")
                 else:
-                    days[begin.date()].append(folder)
+                    days[dated[0]].append(dated[1])
             yield from self._forget(camera, days)
-            for day, folders in sorted(days.items()):
-                digest = self._digest(folders, camera)
+            for day, recordings in sorted(days.items()):
+                digest = self._digest(recordings, camera)
                 last = measured.get(day)
                 if last and (last.digest == digest or (rest and _rests(last))):
                     continue
-                yield from self._measure_day(camera, day, digest, folders)
+                yield from self._measure_day(camera, day, digest, recordings)
 
-    def _measure_day(self, camera: StationCamera, day: date, digest: str, folders: list[Path]) -> Iterator[str]:
+    def _measure_day(
+        self, camera: StationCamera, day: date, digest: str, recordings: list[RecordingRow]
+    ) -> Iterator[str]:
         begun = time.monotonic()
         try:
-            rows = yield from self._without_overlaps(camera, folders)
+            rows = yield from self._without_overlaps(camera, recordings)
             kept = [camera.tracks / row.folder for row in rows]
             footage = read_recordings(kept, (), camera.site, _TIME_KEY)
             report = measure(
@@ -99,11 +101,12 @@ class StationWork:
         events = self._database.replace_day(camera.name, day, MeasuredDay(digest, took_s), rows, report)
         yield f"{camera.name}: {day}: {counted(len(rows), 'recording')}, {counted(events, 'event')}"
 
-    def _without_overlaps(self, camera: StationCamera, folders: list[Path]) -> Generator[str, None, list[RecordingRow]]:
+    def _without_overlaps(
+        self, camera: StationCamera, recordings: list[RecordingRow]
+    ) -> Generator[str, None, list[RecordingRow]]:
         """Return the recordings that do not overlap an earlier one: a clock that is set back repeats times."""
         rows = list[RecordingRow]()
-        found = [self._row(camera, folder) for folder in folders]
-        for row in sorted(found, key=lambda row: (row.begin, row.folder)):
+        for row in sorted(recordings, key=lambda row: (row.begin, row.folder)):
             last = rows[-1].end if rows else row.begin
             if (last - row.begin).total_seconds() > RECORDING_LIMITS.inexact_s:
                 folder = camera.tracks / row.folder
@@ -112,20 +115,7 @@ class StationWork:
                 rows.append(row)
         return rows
 
-    def _row(self, camera: StationCamera, folder: Path) -> RecordingRow:
-        begin, observation = self._begin(folder, camera), read_observation(folder)
-        assert begin is not None
-        first, last = (begin.astimezone(UTC) + timedelta(seconds=second) for second in observation.extent)
-        return RecordingRow(
-            begin=first,
-            end=last,
-            folder=folder.name,
-            frames=len(observation.times_s),
-            observed_s=observation.observed_s,
-            moved=bool(len(observation.camera_moved_s) or observation.turned),
-        )
-
-    def _forget(self, camera: StationCamera, days: dict[date, list[Path]]) -> Iterator[str]:
+    def _forget(self, camera: StationCamera, days: dict[date, list[RecordingRow]]) -> Iterator[str]:
         """Delete tracks, events and speeds of the days that are no longer kept; remove them from `days`.
 
         Folders of recordings that do not come from a stream of this station are kept.
@@ -135,9 +125,9 @@ class StationWork:
             return
         first = datetime.now(UTC).date() - timedelta(days=keep_days)
         for day in [day for day in days if day < first]:
-            folders = days.pop(day)
-            for folder in folders if camera.stream is not None else ():
-                shutil.rmtree(folder, ignore_errors=True)
+            recordings = days.pop(day)
+            for recording in recordings if camera.stream is not None else ():
+                shutil.rmtree(camera.tracks / recording.folder, ignore_errors=True)
         deleted = self._database.forget(camera.name, first)
         if deleted:
             yield f"{camera.name}: deleted {counted(deleted, 'event')} of the days before {first}"
@@ -147,25 +137,42 @@ class StationWork:
             self._reported.add(folder)
             yield line
 
-    def _begin(self, folder: Path, camera: StationCamera) -> datetime | None:
-        """Return the start of a recording, in the site's zone; None: not known."""
-        key = (folder, (folder / FOOTAGE_FILE).stat().st_mtime)
-        if key not in self._begins:
-            observation = read_observation(folder)
-            self._begins[key] = begin_of(None, observation, camera.site) or begin_in_name(
-                observation.source, camera.site
-            )
-        return self._begins[key]
+    def _dated(self, folder: Path, camera: StationCamera) -> tuple[date, RecordingRow] | None:
+        """Return a recording with its day in the site's zone; None: its start is not known.
 
-    def _digest(self, folders: list[Path], camera: StationCamera) -> str:
+        Raises:
+            UserError: It cannot be read.
+        """
+        key = (folder, (folder / FOOTAGE_FILE).stat().st_mtime)
+        if key not in self._recordings:
+            self._recordings[key] = _read_dated(folder, camera)
+        return self._recordings[key]
+
+    def _digest(self, recordings: list[RecordingRow], camera: StationCamera) -> str:
         """Return a digest of everything that determines the traffic of recordings."""
         parts = [__version__, camera.site_sha256]
-        for file in (folder / name for folder in folders for name in (TRACKS_CSV, FOOTAGE_FILE)):
+        for file in (camera.tracks / row.folder / name for row in recordings for name in (TRACKS_CSV, FOOTAGE_FILE)):
             key = (file, file.stat().st_mtime)
             if key not in self._digests:
                 self._digests[key] = sha256_of(file)
             parts.append(self._digests[key])
         return hashlib.sha256(" ".join(parts).encode()).hexdigest()
+
+
+def _read_dated(folder: Path, camera: StationCamera) -> tuple[date, RecordingRow] | None:
+    observation = read_observation(folder)
+    begin = begin_of(None, observation, camera.site) or begin_in_name(observation.source, camera.site)
+    if begin is None:
+        return None
+    first, last = (begin.astimezone(UTC) + timedelta(seconds=second) for second in observation.extent)
+    return begin.date(), RecordingRow(
+        begin=first,
+        end=last,
+        folder=folder.name,
+        frames=len(observation.times_s),
+        observed_s=observation.observed_s,
+        moved=bool(len(observation.camera_moved_s) or observation.turned),
+    )
 
 
 def _rests(last: MeasuredDay) -> bool:

@@ -14,6 +14,14 @@ from skope.station.station_file import MqttBroker
 from skope.terminal.console import Console
 
 
+def client_of(broker: MqttBroker) -> mqtt.Client:
+    """Return a client with the name and password for a broker, not connected."""
+    client = mqtt.Client(CallbackAPIVersion.VERSION2)
+    if broker.username:
+        client.username_pw_set(broker.username, broker.password or None)
+    return client
+
+
 class MqttPublisher:
     """Publishes the health of cameras and their counts as retained JSON messages.
 
@@ -27,9 +35,7 @@ class MqttPublisher:
         self._broker, self._database, self._console = broker, database, console
         self._published: dict[str, str] = {}
         """Digest of the day whose counts were published, by camera."""
-        self._client = mqtt.Client(CallbackAPIVersion.VERSION2)
-        if broker.username:
-            self._client.username_pw_set(broker.username, broker.password or None)
+        self._client = client_of(broker)
         self._client.will_set(f"{broker.topic}/station", "offline", qos=1, retain=True)
         self._client.on_connect = self._on_connect
         self._client.max_queued_messages_set(1000)
@@ -50,7 +56,7 @@ class MqttPublisher:
         for camera in health:
             self._send(camera.camera, "health", camera.to_dict())
             try:
-                day = next(iter(self._database.days(camera.camera)), None)
+                day = next(iter(self._database.days(camera.camera, 1)), None)
                 if day and self._published.get(camera.camera) != day["digest"]:
                     rows = self._database.rows("counts", camera.camera, day["day"])
                     self._send(camera.camera, "counts", {"day": day["day"], "measured": day["measured"], "rows": rows})

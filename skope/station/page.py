@@ -58,7 +58,7 @@ def _health_table(health: Sequence[CameraHealth]) -> Table:
             camera.camera,
             f"{camera.state}: {camera.message}" if camera.message else camera.state,
             "" if camera.last_frame is None else camera.last_frame[11:19],
-            _number(camera.rate, 1),
+            "" if camera.rate is None else f"{camera.rate:.1f}",
             "" if camera.skipped is None else f"{100 * camera.skipped:.0f}%",
             "" if camera.delay_s is None else f"{camera.delay_s:.1f} s",
             "" if camera.in_view is None else camera.in_view,
@@ -69,12 +69,8 @@ def _health_table(health: Sequence[CameraHealth]) -> Table:
     return Table(caption="Cameras", head=head, rows=rows, sticky=True)
 
 
-def _number(value: float | None, digits: int) -> str:
-    return "" if value is None else f"{value:.{digits}f}"
-
-
 def _measured(database: Database, camera: str) -> _MeasuredCamera:
-    days = database.days(camera)[:DAYS_SHOWN]
+    days = database.days(camera, DAYS_SHOWN)
     if not days:
         return _MeasuredCamera(camera, ["Nothing is measured yet."], [])
     newest, counts = days[0], {day["day"]: database.rows("counts", camera, day["day"]) for day in days}
@@ -134,11 +130,10 @@ def _days_table(counts: Mapping[Any, Sequence[Mapping[str, Any]]]) -> Table:
     """Return the totals of each day by gate and direction."""
     by_day = {day: totals(rows) for day, rows in counts.items()}
     gates = list(dict.fromkeys(gate for found in by_day.values() for gate in found))
-    rows = []
-    for day, found in by_day.items():
-        rows.append(
-            (str(day), observed_minutes(counts[day]), *(_count(found.get(gate, {}).get(_EVERY)) for gate in gates))
-        )
+    rows = [
+        (str(day), observed_minutes(counts[day]), *(_count(found.get(gate, {}).get(_EVERY)) for gate in gates))
+        for day, found in by_day.items()
+    ]
     head = ("day", "observed", *(f"{gate}, {direction}" for gate, direction in gates))
     return Table(caption=f"Last {len(by_day)} days", head=head, rows=rows, sticky=True)
 

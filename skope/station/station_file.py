@@ -138,6 +138,10 @@ class Station:
     """None: no HTTP API and no page."""
     mqtt: MqttBroker | None
 
+    def camera(self, name: str) -> StationCamera:
+        """Return the camera of a name that the station has."""
+        return next(camera for camera in self.cameras if camera.name == name)
+
 
 def read_station(path: Path) -> Station:
     """Read a station file. Paths in it are relative to its folder.

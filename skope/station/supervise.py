@@ -14,7 +14,7 @@ from typing import Final, Protocol
 
 from skope.errors import UserError
 from skope.files.atomic import hold_lock
-from skope.station.health import CameraHealth, health_of_all
+from skope.station.health import CameraHealth, health_of
 from skope.station.station_file import Station
 from skope.terminal.console import Console
 
@@ -121,14 +121,10 @@ class Supervisor:
         self._work = _Supervised("measuring", work, (station.path,))
         self._stopped = threading.Event()
 
-    @property
-    def restarts(self) -> dict[str, int]:
-        """Number of restarts by camera."""
-        return {name: max(0, process.starts - 1) for name, process in self._cameras.items()}
-
     def health(self) -> list[CameraHealth]:
         """Return the health of all cameras."""
-        return health_of_all(self._station, self.restarts)
+        restarts = {name: max(0, process.starts - 1) for name, process in self._cameras.items()}
+        return [health_of(camera, restarts.get(camera.name, 0)) for camera in self._station.cameras]
 
     def run(self) -> None:
         """Run until SIGINT or SIGTERM, then end all processes: each writes what it has."""

@@ -31,7 +31,7 @@ from skope.station.station_file import StationCamera
 from skope.station.track_windows import set_aside
 from skope.terminal.console import Console, SilentConsole
 from skope.video.footage import LiveStream, open_footage
-from skope.video.stream_windows import StreamWindow, StreamWindows
+from skope.video.stream_windows import StreamWindow, StreamWindows, without_frames
 
 WINDOW_NAME: Final = "%Y-%m-%dT%H-%M-%SZ"
 """Name of a window's folder: its start in UTC."""
@@ -128,8 +128,8 @@ class StreamWatch:
             UserError: The detector cannot be loaded, the camera does not fit the frames, or a file cannot be written.
         """
         if self._detector is None:
-            empty = StreamWindow(stream.name, stream.clip, None, iter(()))
-            self._detector = load_frame_detector(self._job(empty, self._camera.seen, None), self._console)
+            job = self._job(without_frames(stream), self._camera.seen, None)
+            self._detector = load_frame_detector(job, self._console)
         parts = StreamWindows(stream, self._window_s)
         for window in parts:
             camera = self._camera_of(parts.frame_size)
@@ -139,9 +139,8 @@ class StreamWatch:
     def _complete(self, stream: LiveStream, camera: Camera) -> None:
         """Write the results of the windows that a killed process has left; set those aside that are not its own."""
         for file in sorted(self._camera.seen.glob(f"*/{PROGRESS_FILE}")):
-            left = StreamWindow(stream.name, stream.clip, None, iter(()))
             try:
-                self._write(self._prediction(left, file.parent, camera))
+                self._write(self._prediction(without_frames(stream), file.parent, camera))
             except UserError as error:
                 self._console.warn(f"{self._camera.name}: {error}; moved to {set_aside(self._camera, file.parent)}")
 

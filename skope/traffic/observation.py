@@ -98,16 +98,20 @@ class Observation:
     @cached_property
     def extent(self) -> tuple[float, float]:
         """Start and end of the footage, seconds. Frames after a camera move are included."""
-        every = np.union1d(self.times_s, self.camera_moved_s)
+        every = self._frame_times_s
         if not len(every):
             return 0.0, 0.0
-        return float(every[0]), max(float(every[-1]), min(float(every[-1]) + _usual_step(every), self.end_s))
+        return float(every[0]), max(self.last_frame_s, min(self.last_frame_s + _usual_step(every), self.end_s))
 
     @property
     def last_frame_s(self) -> float:
         """Time of the last frame, seconds; 0 without frames."""
-        every = np.union1d(self.times_s, self.camera_moved_s)
-        return float(every[-1]) if len(every) else 0.0
+        return float(self._frame_times_s[-1]) if len(self._frame_times_s) else 0.0
+
+    @cached_property
+    def _frame_times_s(self) -> Array:
+        """Times of all frames, seconds, increasing; also of those after a camera move."""
+        return np.union1d(self.times_s, self.camera_moved_s)
 
     @cached_property
     def recording_starts_s(self) -> Array:

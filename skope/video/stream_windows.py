@@ -42,6 +42,11 @@ class StreamWindow(LiveStream):
         yield from itertools.islice(self._source, first, None)
 
 
+def without_frames(stream: LiveStream) -> StreamWindow:
+    """Return a window without frames, for work on a stream that reads none."""
+    return StreamWindow(stream.name, stream.clip, None, iter(()))
+
+
 class StreamWindows:
     """Cuts a stream into windows that end at multiples of their length by the clock.
 
@@ -61,7 +66,7 @@ class StreamWindows:
     def __iter__(self) -> Generator[StreamWindow]:
         """Yield windows, each with at least one frame, until the stream ends or breaks off.
 
-        What the caller does not read of a window is passed over.
+        Frames of a window that the caller does not read are dropped.
         """
         while self._next is not None or self._take():
             first_s = self._next_s

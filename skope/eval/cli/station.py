@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from skope.station.station_file import Station
     from skope.station.supervise import Supervisor
 
-
 CORES_OF_A_VIDEO: Final = 2
 """Number of processor cores of a task of Ray."""
 
@@ -66,9 +65,9 @@ def station(
         if not check_station(read, console):
             raise typer.Exit(1)
         return
-    database = Database.open(read.database)
     if not once and (engine != "local" or address is not None):
         raise UserError("--engine, --address: need --once")
+    database = Database.open(read.database)
     if once:
         for line in record_archives(read, partial(record_video, hardware), _engine(engine, address)):
             console.result(line)
@@ -85,7 +84,6 @@ def _supervisor(
     read: "Station", database: "Database", interval: float, hardware: FastMachineOptions, console: Console
 ) -> "Supervisor":
     """Return the supervisor of a station, with its publishers connected."""
-
     from skope.station.supervise import Publisher, Supervisor
 
     publishers = list[Publisher]()
@@ -135,7 +133,7 @@ def record_video(hardware: FastMachineOptions, file: Path, name: str, video: Pat
     from skope.eval.cli.tracked_footage import recorded_video, site_at_size, tracked_footage
     from skope.station.station_file import read_station
 
-    camera = next(camera for camera in read_station(file).cameras if camera.name == name)
+    camera = read_station(file).camera(name)
     quiet, footage = Console(quiet=True), recorded_video(str(video))
     site = site_at_size(camera.site, footage, quiet)
     work = camera.tracking / video.stem
@@ -189,8 +187,7 @@ def watch_camera(hardware: FastMachineOptions, file: Path, name: str) -> None:
 
     end_with_parent()
     read = read_station(file)
-    camera = next(camera for camera in read.cameras if camera.name == name)
     try:
-        StreamWatch(camera, read.window_s, hardware.settings(tiles="none"), Console(quiet=True)).run()
+        StreamWatch(read.camera(name), read.window_s, hardware.settings(tiles="none"), Console(quiet=True)).run()
     except KeyboardInterrupt:
         return

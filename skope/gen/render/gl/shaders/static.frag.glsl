@@ -57,7 +57,7 @@ void main() {
 #ifdef LAMPS
     vec3 lamps = lamplight(lifted, n) / PI;
 #ifdef GROUND
-    if (v_material >= M_MEADOW && v_material <= M_GRASS) lamps *= GRASS_SHARE;
+    if (between(M_MEADOW, M_GRASS)) lamps *= GRASS_SHARE;
 #endif
     light += lamps;
 #endif
