@@ -11,7 +11,7 @@ cd "$(dirname "$0")/../.."
 PYTHON=${PYTHON:-.venv/bin/python} YOLO=${YOLO:?a Python with the package ultralytics}
 DATA=${DATA:-data/bench} OUT=${OUT:-runs/bench} SEED=${SEED:-1} GPU=${GPU:-0} MINUTES=${MINUTES:-4}
 LOADERS=${LOADERS:-8} PHOTOGRAPHS=${PHOTOGRAPHS:-}
-TRAINING=(leg_bench_1 leg_bench_2) TESTS=(world_7 nights_7) LONGEST=1152
+TRAINING=(leg_bench_1) TESTS=(world_7 nights_7) LONGEST=1152
 export CUDA_VISIBLE_DEVICES=$GPU
 
 # The places of stage "bench" and two of the tests in scripts/legs.toml.
