@@ -1,6 +1,7 @@
 """What mkdocs.yml needs besides docs/: the README as the first page, and pages on commands and Python from the code.
 
 mkdocs calls the functions by their names. Links that leave docs/ become plain text, as what they name is not published.
+A line `{{ program NAME }}` of a page is replaced by the text of examples/gallery/NAME.py.
 """
 
 import posixpath
@@ -19,6 +20,7 @@ from skope import cli
 
 ROOT: Final = Path(__file__).parents[1]
 _LINK: Final = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)\s]+)\)")
+_PROGRAM: Final = re.compile(r"^\{\{ program (\w+) \}\}$", re.MULTILINE)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -34,7 +36,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Keep only the words of links to files that are no pages."""
+    """Keep only the words of links to files that are no pages, and insert the programs of the gallery."""
 
     def kept(link: re.Match[str]) -> str:
         words, target = link.groups()
@@ -43,7 +45,13 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         published = not name or "://" in name or files.get_file_from_path(path) is not None
         return link.group() if published else words
 
-    return _LINK.sub(kept, markdown)
+    return _PROGRAM.sub(lambda line: program(line[1]), _LINK.sub(kept, markdown))
+
+
+def program(name: str) -> str:
+    """Return a fenced code block with a program of the gallery."""
+    text = (ROOT / "examples" / "gallery" / f"{name}.py").read_text(encoding="utf-8")
+    return f"```python\n{text}```"
 
 
 def command_line() -> str:
