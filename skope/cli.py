@@ -2,6 +2,7 @@
 
 import sys
 import warnings
+from dataclasses import asdict
 from typing import Any, Final, TextIO
 
 import typer
@@ -9,7 +10,7 @@ import typer
 from skope.errors import AssumptionWarning, UserError
 from skope.eval.cli.app import app as eval_app
 from skope.gen.cli.app import app as gen_app
-from skope.terminal.command_options import CommandGroup, Commands, VersionOption
+from skope.terminal.command_options import CommandGroup, Commands, JsonOption, VersionOption
 from skope.terminal.console import Console
 from skope.train.cli import app as train_app
 
@@ -58,6 +59,32 @@ for name, group, holds in (
     ),
 ):
     app.add_typer(group, name=name, short_help=holds)
+
+
+@app.command(short_help="Check this machine: working and missing parts.")
+def doctor(console: Console, json: JsonOption = False) -> None:
+    """Check what this machine has and lacks, and suggest fixes.
+
+    Exit code 2 if a part is broken that a command needs.
+    """
+    from skope.doctor import STATUS_WORDS, examine
+
+    findings = []
+    for finding in examine():
+        findings.append(finding)
+        if not json:
+            console.result(f"{STATUS_WORDS[finding.status]:<3} {finding.part:<16} {finding.text}")
+    broken = [finding for finding in findings if finding.status == "broken"]
+    if json:
+        console.document({"works": not broken, "parts": [asdict(finding) for finding in findings]})
+    elif broken:
+        fails = dict.fromkeys(command for finding in broken for command in finding.fails)
+        names = ", ".join(finding.part for finding in broken)
+        console.result(f"not working: {names}; these commands fail: {', '.join(fails)}")
+    else:
+        console.result("all commands work; `skope gen doctor` also draws test images")
+    if broken:
+        raise typer.Exit(2)
 
 
 _show_any_warning: Final = warnings.showwarning

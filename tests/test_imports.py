@@ -93,6 +93,7 @@ SHARED = (
     {"footage"},
     {"station"},
     {"gen", "train", "eval"},
+    {"doctor"},
     {"api", "cli"},
     {"__init__", "__main__"},
 )

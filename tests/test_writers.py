@@ -217,6 +217,7 @@ WRITERS = {
 (test_a_stopped_run_goes_on_and_ends_as_if_never_stopped), `eval` below."""
 
 READERS = {
+    "doctor",
     "gen check",
     "gen stats",
     "gen sites",

@@ -1,4 +1,4 @@
-"""Device for torch, from a `--device` flag, and its support for bfloat16."""
+"""Device for torch, from a `--device` flag, and the number formats that it supports."""
 
 import os
 import re
@@ -8,6 +8,8 @@ import torch
 
 from skope.errors import UserError
 
+TORCH_FORMATS: Final = ("bfloat16", "float32")
+"""Number formats of torch, fastest first."""
 _WITHOUT_BFLOAT16: Final = ("SSE41", "AVX", "AVX2", "AVX2_VNNI", "AVX512_CORE", "AVX512_CORE_VNNI")
 
 
@@ -33,3 +35,31 @@ def choose_device(name: str) -> torch.device:
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
         raise UserError(f"device: {name} is not there (torch sees {torch.cuda.device_count()} GPUs)")
     return device
+
+
+def choose_number_format(
+    precision: str, backend: str, formats: tuple[str, ...], *, ranged: bool, device: torch.device
+) -> str:
+    """Return the number format of a `--precision` option.
+
+    Args:
+        precision: One of `PRECISION_CHOICES`; `auto` selects the fastest one that is possible.
+        backend: Name of the library that computes, for errors.
+        formats: Number formats of the library, fastest first.
+        ranged: Whether the checkpoint has the ranges of values that int8 needs.
+        device: Device of the computation.
+
+    Raises:
+        UserError: The library or the checkpoint does not support the number format.
+    """
+    if precision == "auto":
+        good = {"int8": ranged, "bfloat16": has_bfloat16(device), "float32": True}
+        return next(number for number in formats if good[number])
+    if precision not in formats:
+        raise UserError(f"--precision {precision}: backend {backend} has {', '.join(formats)}")
+    if precision == "int8" and not ranged:
+        raise UserError(
+            "--precision int8: the checkpoint does not say how large its layers' inputs become; "
+            "`skope train export RUN --to compact --data DATASET` notes that"
+        )
+    return precision

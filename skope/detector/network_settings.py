@@ -9,6 +9,8 @@ BACKEND_CHOICES: Final = ("auto", "torch", "openvino", "onnx")
 FASTEST_BACKEND: Final = "openvino"
 """Backend that `auto` selects on a CPU if it is installed."""
 PRECISION_CHOICES: Final = ("auto", "float32", "bfloat16", "int8")
+INPUT_NAME: Final = "x"
+"""Name of the input of exported parts of the network."""
 TILE_CHOICES: Final = ("none", "auto")
 MIN_SCORE: Final = 0.05
 """Default score threshold. Detections with a lower score are not reported."""

@@ -283,7 +283,7 @@ def test_an_old_or_broken_runtime_is_one_line_and_auto_says_so(
     )
     layers = int8_ranges.rounded_layers(model)
     ranges = {int8_ranges.RANGES_KEY: {name: [0.0, 1.0] for name in layers}}
-    monkeypatch.setattr("skope.detector.backends.prepare.has_bfloat16", lambda _: False)
+    monkeypatch.setattr("skope.detector.device.has_bfloat16", lambda _: False)
     said = Said()
     assert prepare(model, ranges, CPU, backend="auto", precision="auto", console=said) == "float32"
     assert said.lines[0].endswith("(unsupported opset): pip install 'skope[openvino]'; torch computes instead")

@@ -23,6 +23,7 @@ from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 from torchvision.ops.poolers import LevelMapper, MultiScaleRoIAlign
 
+from skope.detector.network_settings import INPUT_NAME
 from skope.types import Floats32
 
 
@@ -142,8 +143,6 @@ RunNetwork = Callable[[Floats32], list[Floats32]]
 PYRAMID_NAME: Final = "pyramid"
 BOX_HEAD: Final = "box_head"
 KEYPOINT_HEAD: Final = "keypoint_head"
-
-INPUT_NAME: Final = "x"
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from skope.detector import int8_ranges, network_settings
 from skope.detector.backends import bfloat16, network_parts
 from skope.detector.backends.region_suppression import suppress_best_first, suppress_together
 from skope.detector.backends.runtimes import RUNTIME_CLASSES, Runtime, UnusableError
-from skope.detector.device import has_bfloat16
+from skope.detector.device import TORCH_FORMATS, choose_number_format
 from skope.detector.int8_ranges import Ranges
 from skope.errors import UserError
 from skope.terminal.console import Console
@@ -131,9 +131,6 @@ class _Rounded(nn.Module):
         return nn.functional.linear(x, weight, self.layer.bias)
 
 
-_IN_TORCH = ("bfloat16", "float32")
-
-
 def prepare(
     model: KeypointRCNN,
     metadata: Mapping[str, Any],
@@ -176,7 +173,7 @@ def prepare(
                 raise
             if not error.missing:
                 console.say(f"{error}; torch computes instead")
-    number = _number_format(precision, None, ranged=False, device=device)
+    number = choose_number_format(precision, "torch", TORCH_FORMATS, ranged=False, device=device)
     if number == "bfloat16":
         bfloat16.convert(model)
     if device.type == "cuda":
@@ -189,7 +186,9 @@ def _by_runtime(
 ) -> str:
     """Make a runtime compute the parts of a model; the model stays unchanged if the runtime fails."""
     ranges = int8_ranges.read(model, metadata)
-    number = _number_format(precision, runtime, ranged=ranges is not None, device=torch.device("cpu"))
+    number = choose_number_format(
+        precision, runtime.backend, runtime.formats, ranged=ranges is not None, device=torch.device("cpu")
+    )
     try:
         if number == "int8" and ranges is not None:
             convert(model, ranges)
@@ -204,19 +203,3 @@ def _by_runtime(
     network_parts.hand_over(model, runs)
     resize_first(model)
     return f"{number} by {runtime.module} {runtime.version}"
-
-
-def _number_format(precision: str, runtime: Runtime | None, *, ranged: bool, device: torch.device) -> str:
-    formats = _IN_TORCH if runtime is None else runtime.formats
-    if precision == "auto":
-        good = {"int8": ranged, "bfloat16": has_bfloat16(device), "float32": True}
-        return next(number for number in formats if good[number])
-    if precision not in formats:
-        name = "torch" if runtime is None else runtime.backend
-        raise UserError(f"--precision {precision}: backend {name} has {', '.join(formats)}")
-    if precision == "int8" and not ranged:
-        raise UserError(
-            "--precision int8: the checkpoint does not say how large its layers' inputs become; "
-            "`skope train export RUN --to compact --data DATASET` notes that"
-        )
-    return precision

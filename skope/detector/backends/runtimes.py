@@ -10,15 +10,18 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from functools import lru_cache
 from types import ModuleType
-from typing import Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import torch
 
 from skope.cpu_count import usable_processors
-from skope.detector.backends.network_parts import INPUT_NAME, NetworkPart, RunNetwork
 from skope.detector.device import has_bfloat16
+from skope.detector.network_settings import INPUT_NAME
 from skope.errors import UserError
 from skope.types import Floats32
+
+if TYPE_CHECKING:
+    from skope.detector.backends.network_parts import NetworkPart, RunNetwork
 
 _COMPILED_SIZES: Final = 4
 """Number of image sizes with cached graphs. A graph for 1280x720 takes `road33` 1.5 s and 0.3 GB, `road33-lite` 0.5 s
@@ -67,7 +70,7 @@ class Runtime(ABC):
         line = f"--backend {self.backend}: {why}: pip install 'skope[{self.backend}]'"
         return UnusableError(line, missing=missing)
 
-    def compile(self, part: NetworkPart, number: str) -> RunNetwork:
+    def compile(self, part: "NetworkPart", number: str) -> "RunNetwork":
         """Return a function that computes a part with products in a number format, one of `formats`.
 
         This method and the returned function raise UnusableError, with a one-line message, if the library fails.
@@ -90,7 +93,7 @@ class Runtime(ABC):
             raise self._unusable(why) from None
 
     @abstractmethod
-    def _compiled(self, part: NetworkPart, number: str) -> RunNetwork: ...
+    def _compiled(self, part: "NetworkPart", number: str) -> "RunNetwork": ...
 
 
 @lru_cache
@@ -112,7 +115,7 @@ class OpenVino(Runtime):
     module = "openvino"
     oldest = (2025, 0)
 
-    def _compiled(self, part: NetworkPart, number: str) -> RunNetwork:
+    def _compiled(self, part: "NetworkPart", number: str) -> "RunNetwork":
         core = _openvino_core(self._library)
         hints = {
             "INFERENCE_PRECISION_HINT": "bf16" if number != "float32" and has_bfloat16(torch.device("cpu")) else "f32",
@@ -145,7 +148,7 @@ class OnnxRuntime(Runtime):
     module = "onnxruntime"
     oldest = (1, 20)
 
-    def _compiled(self, part: NetworkPart, number: str) -> RunNetwork:
+    def _compiled(self, part: "NetworkPart", number: str) -> "RunNetwork":
         options = self._library.SessionOptions()
         options.intra_op_num_threads = usable_processors()
         model = _without_shapes(part.to_onnx())
