@@ -28,6 +28,7 @@ LONGEST: Final = (
     "gen/pipeline/test_generate.py",
     "gen/towns/test_networks.py",
     "test_examples.py",
+    "test_notebooks.py",
     "gen/pipeline/test_dataset_store.py",
     "test_scripts.py",
     "eval/cli/test_footage.py",
