@@ -5,7 +5,10 @@ import inspect
 import re
 import textwrap
 from collections.abc import Iterator
+from types import ModuleType
 from typing import Any, Final
+
+from python_examples import EXAMPLES
 
 import skope
 from skope.camera.calibrate import SiteCalibration
@@ -34,17 +37,37 @@ def python_reference() -> str:
     named = {name: getattr(skope, name) for name in skope.__all__}
     functions = {name: value for name, value in named.items() if inspect.isfunction(value)}
     classes = {name: value for name, value in named.items() if inspect.isclass(value)}
-    parts = ["# Python reference", "Made from the program itself. [The guide](python.md) has examples."]
+    modules = {name: value for name, value in named.items() if inspect.ismodule(value)}
+    parts = ["# Python reference", "Made from the program itself. [The guide](python.md) has longer examples."]
+    parts.append("Lines that begin with `#>` are the output of an example for a small video and dataset.")
     parts.append("## Functions")
     for name, value in functions.items():
         parts += described(f"skope.{name}", value)
+        parts.append(example(name))
     parts.append("## Classes")
     for name, value in classes.items():
         parts += class_described(f"skope.{name}", value)
     parts.append("## What functions give")
     for value in GIVEN:
         parts += class_described(value.__name__, value)
+    parts.append("## Modules and version")
+    for name, value in modules.items():
+        parts += [f"### `skope.{name}`", inspect.getdoc(value) or "", example(name)]
+        for function in own_functions(value):
+            parts += described(f"{name}.{function.__name__}", function, "####")
+    parts += ["### `skope.__version__`", "Version of skope.", example("__version__")]
     return "\n\n".join(parts) + "\n"
+
+
+def example(name: str) -> str:
+    """The example of a public name, as a block of code."""
+    return f"```python\n{EXAMPLES[name].strip()}\n```"
+
+
+def own_functions(module: ModuleType) -> list[Any]:
+    """The public functions that a module defines, in the order of its text."""
+    found = (value for name, value in vars(module).items() if inspect.isfunction(value) and not name.startswith("_"))
+    return [value for value in found if value.__module__ == module.__name__]
 
 
 def described(name: str, function: Any, level: str = "###") -> Iterator[str]:
@@ -106,6 +129,7 @@ def class_described(name: str, kind: type) -> Iterator[str]:
     """A class with its fields, properties and methods, also those that it has from another class of skope."""
     yield f"### `{name}`"
     yield formatted(inspect.getdoc(kind) or "")
+    yield example(name.rpartition(".")[2])
     rows: dict[str, str] = {}
     methods: dict[str, Any] = {}
     for one in reversed(kind.__mro__):

@@ -28,10 +28,10 @@ def score(
         iou: Overlaps at which a detection matches a vehicle.
 
     Returns:
-        A split's entry as in `metrics.json`: counts, and for each IoU ("0.6") `pck` and the precision and recall of
-        boxes and keypoints, `pooled` over all images and as the `paper` counts them. A ratio without anything to
-        divide by is None. Where the predictions hold other road users than vehicles, `categories` has the figures of
-        those that the ground truth labels, by category and size.
+        A split's entry as in `metrics.json`: counts, and for each IoU ("0.6") `pck`, `box_precision`, `box_recall`,
+        `keypoint_precision` and `keypoint_recall`. Each of the last four is `pooled` over all images, and as the
+        `paper` counts it. A ratio with a denominator of 0 is None. Where the predictions hold other road users than
+        vehicles, `categories` has the figures of those that the ground truth labels, by category and size.
 
     Raises:
         UserError: A file cannot be read, or the predictions are of other images.

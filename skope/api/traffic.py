@@ -123,7 +123,8 @@ def count(
 
     Returns:
         One record per `interval`, `gate`, `direction`, `lane` and `class_name` (each can be "all"). `count` is None if
-        nothing was observed. `expected.low` to `expected.high` is the 90% interval of the true number.
+        nothing was observed. `confidence_interval.low` to `confidence_interval.high` is the 90% interval of the true
+        number.
 
     Raises:
         UserError: A file is missing or wrong.
