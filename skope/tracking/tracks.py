@@ -128,6 +128,8 @@ class OpenTrack:
     """Number of poses with each body type."""
     last_pose_s: float = 0.0
     """Time of `last_pose`, seconds."""
+    heading: float | None = None
+    """Heading of `last_pose`, radians; None until a pose agrees with the direction of travel."""
     elsewhere: dict[int, Detection] = field(default_factory=dict)
     """Detections since `last_pose`, by frame, that match this vehicle by box but not by pose."""
     successor: "OpenTrack | None" = None
@@ -192,6 +194,8 @@ class OpenTrack:
         self.kinds[pose.kind] += 1
         self.last_pose_s = step.time_s
         self.elsewhere = {}
+        if self.heading is not None or kalman.drives_forward(step.filtered, pose):
+            self.heading = pose.heading
 
     def settle(self, until_s: float) -> None:
         """Smooth all steps, and make those before `until_s` final."""

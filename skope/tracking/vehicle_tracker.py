@@ -59,6 +59,10 @@ class TrackerLimits:
     """Acceleration at which a vehicle may have turned or braked since its last pose, m/s^2."""
     swerve_s: float = 1.0
     """Maximum duration of that acceleration, seconds."""
+    turn_rad: float = math.radians(45)
+    """Maximum difference between the headings of two poses at one time, in addition to three standard deviations."""
+    turn_radps: float = 0.7
+    """Growth of that difference with the time between the poses, rad/s: a vehicle needs more than 3 s for a U-turn."""
     continuing_iou: float = 0.3
     """Minimum IoU at which a box without a pose continues a track."""
     jump_iou: float = 0.5
@@ -317,6 +321,8 @@ def _can_be(track: OpenTrack, detection: Detection) -> bool:
 
 def _cost(track: OpenTrack, pose: PoseMeasurement) -> float:
     """Return twice the negative log likelihood of a pose given the track's prediction; infinite beyond the gate."""
+    if _faces_otherwise(track, pose):
+        return math.inf
     mean, spread = track.state
     away = pose.place - mean[:2]
     unseen_s = min(TRACKER_LIMITS.swerve_s, track.steps[-1].time_s - track.last_pose_s)
@@ -331,6 +337,15 @@ def _cost(track: OpenTrack, pose: PoseMeasurement) -> float:
     det = a * d - b * b
     squared = (d * x * x - 2 * b * x * y + a * y * y) / det
     return squared + math.log(4 * math.pi**2 * det) if squared < KALMAN_SETTINGS.gate_variances else math.inf
+
+
+def _faces_otherwise(track: OpenTrack, pose: PoseMeasurement) -> bool:
+    """Return whether a pose has a heading that the track's vehicle cannot have reached since its last pose."""
+    if track.heading is None:
+        return False
+    turn = abs(math.remainder(pose.heading - track.heading, math.tau))
+    gap_s = track.steps[-1].time_s - track.last_pose_s
+    return turn - 3 * pose.heading_sigma > TRACKER_LIMITS.turn_rad + TRACKER_LIMITS.turn_radps * gap_s
 
 
 def _by_box(live: list[OpenTrack], rest: list[Detection], least: float, time_s: float) -> list[Detection]:

@@ -143,6 +143,54 @@ def test_after_a_gap_a_track_does_not_go_on_with_what_is_elsewhere_in_the_image(
     assert sorted(map(sorted, found)) == ([[1, 2]] if same else [[1], [2]])
 
 
+@pytest.mark.parametrize("gap_s", [0.4, 1.0, 2.5])
+def test_a_vehicle_that_leaves_does_not_continue_as_one_that_enters(gap_s: float) -> None:
+    """At the border of the image, where the other lane begins 3 m beside the last position."""
+
+    def image(time: float) -> list[Detection]:
+        if time < 3.0:
+            return [detection(5.0 * time, 0.0, 0.0, box=100 * time, truth=1)]
+        if time < 3.0 + gap_s:
+            return []
+        x = 17.0 - 4.0 * (time - 3.0 - gap_s)
+        return [detection(x, 3.2, math.pi, box=20 * x, truth=2)]
+
+    times = np.arange(0, 8, 0.2).tolist()
+    assert sorted(names(track_vehicles(map(image, times), times))) == [{1}, {2}]
+
+
+def test_a_pose_with_front_and_rear_exchanged_does_not_end_a_track() -> None:
+    times = np.arange(0, 6, 0.2).tolist()
+
+    def image(time: float) -> list[Detection]:
+        flipped = 2.9 < time < 3.3
+        return [detection(8.0 * time, 0.0, math.pi * flipped, box=160 * time, truth=1)]
+
+    (track,) = track_vehicles(map(image, times), times)
+    assert len(track.times_s) == len(times)
+    assert np.abs(track.position[:, 0] - 8.0 * np.array(times)).max() < 0.3
+
+
+@pytest.mark.parametrize("gap_s", [0.2, 1.0])
+def test_a_vehicle_that_turns_round_keeps_its_track(gap_s: float) -> None:
+    """A U-turn of 6 m radius at 4 m/s, of which the middle is hidden."""
+
+    def path(time: float) -> tuple[float, float, float]:
+        angle = np.clip((time - 3.0) * 4.0 / 6.0, 0.0, math.pi)
+        if time < 3.0:
+            return 4.0 * (time - 3.0), 0.0, 0.0
+        beyond = max(0.0, time - 3.0 - math.pi * 6.0 / 4.0)
+        return 6.0 * math.sin(angle) - 4.0 * beyond, 6.0 * (1 - math.cos(angle)), float(angle)
+
+    def image(time: float) -> list[Detection]:
+        x, y, heading = path(time)
+        hidden = abs(time - 5.4) < gap_s / 2
+        return [] if hidden else [detection(x, y, heading, box=400 + 20 * x, truth=1)]
+
+    times = np.arange(0, 11, 0.2).tolist()
+    assert len(track_vehicles(map(image, times), times)) == 1
+
+
 def test_sigmas_say_how_far_off_places_and_speeds_are() -> None:
     """Of vehicles that drive as the model of motion has it, measured with the noise that is stated, now and then."""
     rng, times = np.random.default_rng(0), (np.arange(120) / 10).tolist()
