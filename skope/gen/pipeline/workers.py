@@ -292,7 +292,7 @@ class ProcessPool:
         except BrokenProcessPool:
             raise UserError(
                 "a worker process was killed, possibly for lack of memory (try fewer --workers); "
-                "run the same command again to resume"
+                'run the same command again to resume; a script must call this below `if __name__ == "__main__":`'
             ) from None
 
     def close(self, *, now: bool) -> None:
