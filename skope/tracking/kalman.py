@@ -35,8 +35,6 @@ class KalmanSettings:
     """Standard deviation of a new vehicle's lateral speed, m/s."""
     acceleration_mps2: float = 2.0
     """Standard deviation of a new vehicle's acceleration, m/s^2."""
-    driving_mps: float = 2.0
-    """Minimum speed of a vehicle whose motion tells its front from its rear, m/s."""
     slide_mps: float = 0.5
     """Standard deviation of a standing vehicle's lateral speed, m/s."""
     slip_ratio: float = 0.15
@@ -144,13 +142,6 @@ def _rolling(mean: Array, spread: Array, pose: PoseMeasurement) -> State:
     gain = across / total
     kept = np.eye(len(mean)) - np.outer(gain, aside)
     return mean - gain * slides, kept @ spread @ kept.T + variance * np.outer(gain, gain)
-
-
-def drives_forward(state: State, pose: PoseMeasurement) -> bool:
-    """Return whether a vehicle moves fast enough to have a direction, and in the direction of its pose's heading."""
-    vx, vy = state[0][2:4]
-    along = vx * math.cos(pose.heading) + vy * math.sin(pose.heading)
-    return bool(along > max(KALMAN_SETTINGS.driving_mps, math.cos(math.pi / 4) * math.hypot(vx, vy)))
 
 
 def smoothed(

@@ -1,6 +1,7 @@
 """`OpenTrack`, the tracker's working state of a vehicle, which becomes a smoothed `Track` at its end."""
 
 import itertools
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -43,6 +44,10 @@ class TrackLimits:
     """Minimum number of poses of a track."""
     shortest_s: float = 0.4
     """Minimum duration of a track, seconds."""
+    way_poses: int = 4
+    """Minimum number of poses of a vehicle with a known direction of travel."""
+    driving_mps: float = 2.0
+    """Minimum speed at which the direction of travel is known, m/s."""
 
 
 TRACK_LIMITS: Final = TrackLimits()
@@ -128,8 +133,8 @@ class OpenTrack:
     """Number of poses with each body type."""
     last_pose_s: float = 0.0
     """Time of `last_pose`, seconds."""
-    heading: float | None = None
-    """Heading of `last_pose`, radians; None until a pose agrees with the direction of travel."""
+    way: float | None = None
+    """Latest direction of travel, radians; None: it is not known yet."""
     elsewhere: dict[int, Detection] = field(default_factory=dict)
     """Detections since `last_pose`, by frame, that match this vehicle by box but not by pose."""
     successor: "OpenTrack | None" = None
@@ -194,8 +199,9 @@ class OpenTrack:
         self.kinds[pose.kind] += 1
         self.last_pose_s = step.time_s
         self.elsewhere = {}
-        if self.heading is not None or kalman.drives_forward(step.filtered, pose):
-            self.heading = pose.heading
+        vx, vy = step.filtered[0][2:4].tolist()
+        if self.poses >= TRACK_LIMITS.way_poses and math.hypot(vx, vy) >= TRACK_LIMITS.driving_mps:
+            self.way = math.atan2(vy, vx)
 
     def settle(self, until_s: float) -> None:
         """Smooth all steps, and make those before `until_s` final."""

@@ -59,10 +59,13 @@ class TrackerLimits:
     """Acceleration at which a vehicle may have turned or braked since its last pose, m/s^2."""
     swerve_s: float = 1.0
     """Maximum duration of that acceleration, seconds."""
-    turn_rad: float = math.radians(45)
-    """Maximum difference between the headings of two poses at one time, in addition to three standard deviations."""
-    turn_radps: float = 0.7
-    """Growth of that difference with the time between the poses, rad/s: a vehicle needs more than 3 s for a U-turn."""
+    heading_slack_rad: float = math.radians(45)
+    """Difference between heading and direction of travel, in addition to three standard deviations, that is no turn."""
+    turning_radius_m: float = 5.0
+    """Minimum turning radius of the middle of a vehicle, metres."""
+    lane_m: float = 1.5
+    """Lateral distance at and above which a pose that faces the other way belongs to another vehicle, metres. Nearer,
+    it is one with front and rear exchanged."""
     continuing_iou: float = 0.3
     """Minimum IoU at which a box without a pose continues a track."""
     jump_iou: float = 0.5
@@ -321,7 +324,7 @@ def _can_be(track: OpenTrack, detection: Detection) -> bool:
 
 def _cost(track: OpenTrack, pose: PoseMeasurement) -> float:
     """Return twice the negative log likelihood of a pose given the track's prediction; infinite beyond the gate."""
-    if _faces_otherwise(track, pose):
+    if _is_in_other_lane(track, pose):
         return math.inf
     mean, spread = track.state
     away = pose.place - mean[:2]
@@ -339,13 +342,21 @@ def _cost(track: OpenTrack, pose: PoseMeasurement) -> float:
     return squared + math.log(4 * math.pi**2 * det) if squared < KALMAN_SETTINGS.gate_variances else math.inf
 
 
-def _faces_otherwise(track: OpenTrack, pose: PoseMeasurement) -> bool:
-    """Return whether a pose has a heading that the track's vehicle cannot have reached since its last pose."""
-    if track.heading is None:
+def _is_in_other_lane(track: OpenTrack, pose: PoseMeasurement) -> bool:
+    """Return whether a pose is that of another vehicle, in the lane beside, that faces another way.
+
+    On a circle of radius R, a turn by an angle a moves a vehicle sideways by R (1 - cos a).
+    """
+    if track.way is None:
         return False
-    turn = abs(math.remainder(pose.heading - track.heading, math.tau))
-    gap_s = track.steps[-1].time_s - track.last_pose_s
-    return turn - 3 * pose.heading_sigma > TRACKER_LIMITS.turn_rad + TRACKER_LIMITS.turn_radps * gap_s
+    turn = abs(math.remainder(pose.heading - track.way, math.tau)) - 3 * pose.heading_sigma
+    turn = min(turn - TRACKER_LIMITS.heading_slack_rad, math.pi)
+    if turn <= 0:
+        return False
+    x, y = (pose.place - track.last_pose.place).tolist()
+    aside = abs(y * math.cos(track.way) - x * math.sin(track.way))
+    sigma = math.sqrt(np.trace(pose.covariance + track.last_pose.covariance))
+    return TRACKER_LIMITS.lane_m <= aside < TRACKER_LIMITS.turning_radius_m * (1 - math.cos(turn)) - sigma
 
 
 def _by_box(live: list[OpenTrack], rest: list[Detection], least: float, time_s: float) -> list[Detection]:
