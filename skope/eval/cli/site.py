@@ -14,7 +14,11 @@ def site(
     console: Console,
     footage: Annotated[
         str | None,
-        typer.Argument(metavar="FOOTAGE", help="Image, folder of images or video of the camera. Default: none."),
+        typer.Argument(
+            metavar="FOOTAGE",
+            help="Image, folder of images or video of the camera. Not needed with --size, --points or an existing "
+            "site file.",
+        ),
     ] = None,
     site: Annotated[
         Path, option(metavar=FILE_METAVAR, help="Site file to open and save; it is created if missing.")

@@ -10,16 +10,35 @@ from typing import Any, Final
 from skope import keypoints
 from skope.gen.output.licences import LICENCE_ADDRESSES
 from skope.page.templates import Table
+from skope.terminal.console import counted
 
 Card = Mapping[str, Any]
 
 DATASET_TITLE: Final = "Roadside images with 33 keypoints per vehicle"
 LIMITS_HEADING: Final = "Limits"
+READ_BY_TORCHVISION: Final = """from torchvision.datasets import CocoDetection
+
+{split} = CocoDetection(".", "annotations/{split}.json")
+image, labels = {split}[0]"""
+READ_BY_FIFTYONE: Final = """import fiftyone as fo
+
+{split} = fo.Dataset.from_dir(
+    dataset_type=fo.types.COCODetectionDataset,
+    data_path=".",
+    labels_path="annotations/{split}.json",
+    label_types=["detections", "keypoints"],
+)"""
+READ_BY_DATASETS: Final = """from datasets import load_dataset
+
+{split} = load_dataset("webdataset", data_files={{"{split}": "shards/{split}-*.tar"}}, split="{split}")
+image, labels = {split}[0]["jpg"], {split}[0]["json"]"""
+HUB_SIZES: Final = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
+"""Numbers of images below which the classes of Hugging Face's hub apply."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """Command line for the shell."""
+    """Lines of a command or program."""
 
     command: str
 
@@ -35,6 +54,7 @@ def sections(card: Card) -> list[Section]:
     """Return the sections of a dataset's README in reading order."""
     parts = [
         Section("What it is for", purposes()),
+        Section("How to read it", reading(card)),
         Section("How it was made", [*_command(card), made(card), _sources(card)]),
         Section("What the labels mean", [list(card.get("label_rules", [])), *_rules_in_numbers(card)]),
         Section("Balance", _balance(card)),
@@ -52,12 +72,12 @@ def card_summary(card: Card) -> str:
         return f"Images of vehicles with 33 keypoints each{_scheme(card)}."
     size, sites = card.get("parameters", {}).get("size"), len(counts.get("by_site", {}))
     ignored = sum(counts.get("ignored", {}).values())
-    category_texts = [f", {row['ground_truth']} {name}s" for name, row in _by_category(card).items()]
+    category_texts = [f", {counted(row['ground_truth'], name)}" for name, row in _by_category(card).items()]
     ignored_text = f", and {ignored} more that are marked as ignored" if ignored else ""
     return (
-        f"{counts['images']} images{f' of {size} pixels' if size else ''}"
+        f"{counted(counts['images'], 'image')}{f' of {size} pixels' if size else ''}"
         f"{f' from {sites} camera site' + ('s' if sites > 1 else '') if sites else ''} with "
-        f"{counts['ground_truth']} vehicles of 33 keypoints each{_scheme(card)}{''.join(category_texts)}{ignored_text}."
+        f"{counted(counts['ground_truth'], 'vehicle')} of 33 keypoints each{_scheme(card)}{''.join(category_texts)}{ignored_text}."
     )
 
 
@@ -79,6 +99,28 @@ def purposes() -> list[str]:
         "Training and evaluating detectors of vehicle keypoints for fixed roadside cameras, and developing methods "
         "that use keypoints: position, heading, size and speed of vehicles from one camera. With masks, 3D boxes, "
         "depth and track numbers, it also serves segmentation, monocular 3D detection and tracking.",
+    ]
+
+
+def reading(card: Card) -> list[str | Command]:
+    """Return programs that read a dataset, to run in its folder, with other libraries than skope."""
+    splits = card.get("counts", {}).get("by_split", {})
+    if not splits:
+        return []
+    split = "train" if "train" in splits else next(iter(splits))
+    if card.get("format") == "shards":
+        return [
+            "Each shard is a tar file with an image and a JSON file of its labels for each sample. With `datasets` of "
+            "Hugging Face:",
+            Command(READ_BY_DATASETS.format(split=split)),
+        ]
+    return [
+        "Labels are COCO files, one for each split. Paths in them begin at this folder. manifest.json has the SHA-256 of "
+        "each file. With torchvision:",
+        Command(READ_BY_TORCHVISION.format(split=split)),
+        "With FiftyOne:",
+        Command(READ_BY_FIFTYONE.format(split=split)),
+        "Hugging Face's `datasets` reads the form that `skope gen convert . ../shards --to shards` writes.",
     ]
 
 
@@ -241,8 +283,8 @@ def licence(card: Card) -> str:
 
 
 def markdown(card: Card) -> str:
-    """Return a card as the text of README.md."""
-    lines = [f"# {DATASET_TITLE}", "", card_summary(card), ""]
+    """Return a card as the text of README.md, with a header that hubs of datasets read."""
+    lines = [*_hub_header(card), f"# {DATASET_TITLE}", "", card_summary(card), ""]
     for section in sections(card):
         lines += [f"## {section.title}", ""]
         for block in section.blocks:
@@ -250,9 +292,27 @@ def markdown(card: Card) -> str:
     return "\n".join(lines)
 
 
+def _hub_header(card: Card) -> list[str]:
+    """Return the YAML header of Hugging Face's hub: licence, tasks and size."""
+    stated, images = str(card.get("licence", "")), card.get("counts", {}).get("images")
+    name = stated.lower().replace(" ", "-") if stated in LICENCE_ADDRESSES else "other"
+    if name.startswith("od"):  # the hub names licences of Open Data Commons without a version
+        name = name.rpartition("-")[0]
+    size = next((text for below, text in HUB_SIZES if images < below), "1M<n<10M") if images is not None else None
+    return [
+        "---",
+        f"license: {name}",
+        "task_categories: [keypoint-detection, object-detection]",
+        "tags: [traffic, vehicles, roadside camera]",
+        *([f"size_categories: [{size}]"] if size else []),
+        "---",
+        "",
+    ]
+
+
 def _markdown(block: str | list[str] | Command | Table) -> list[str]:
     if isinstance(block, Command):
-        return [f"    {block.command}"]
+        return [f"    {line}".rstrip() for line in block.command.splitlines()]
     if isinstance(block, list):
         return [f"- {line}" for line in block]
     if isinstance(block, Table):

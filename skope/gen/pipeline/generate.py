@@ -17,7 +17,7 @@ from skope.gen.pipeline.workers import RenderJobSpec, WorkerPool
 from skope.gen.render.choose_renderer import choose_renderer
 from skope.gen.scene import recording
 from skope.gen.scene.package_versions import versions
-from skope.terminal.console import Console, disk_size, minutes
+from skope.terminal.console import Console, counted, disk_size, minutes
 
 
 def lighting_messages(console: Console) -> Callable[[str], None]:
@@ -187,7 +187,7 @@ def _finish(store: Store, console: Console, begun: float) -> None:
     store.finish(content)
     size = sum(path.stat().st_size for path in store.root.rglob("*") if path.is_file())
     console.say(
-        f"{counts.images} images, {content['counts']['ground_truth']} ground-truth vehicles and "
+        f"{counted(counts.images, 'image')}, {counted(content['counts']['ground_truth'], 'ground-truth vehicle')} and "
         f"{sum(content['counts']['ignored'].values())} ignored, {disk_size(size)}, "
         f"in {minutes(time.perf_counter() - begun)}"
     )

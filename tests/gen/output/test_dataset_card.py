@@ -72,7 +72,7 @@ def test_the_readme_says_what_a_user_must_know(root: Path) -> None:
     text = (root / "README.md").read_text(encoding="utf-8")
     titles = [line.removeprefix("## ") for line in text.splitlines() if line.startswith("## ")]
     assert titles == [
-        *("What it is for", "How it was made", "What the labels mean", "Balance", "Limits", "People", "Licence"),
+        *("What it is for", "How to read it", "How it was made", "What the labels mean", "Balance", "Limits", "People", "Licence"),
     ]
     assert "Not validated for safety or enforcement" in text
     assert "v = 1: inside the image but hidden" in text
@@ -80,6 +80,46 @@ def test_the_readme_says_what_a_user_must_know(root: Path) -> None:
     assert "| van | 2 | 0 | 66.7% |\n| sedan | 1 | 0 | 33.3% |" in text
     assert "CC BY 4.0 (https://creativecommons.org/licenses/by/4.0/)" in text
     assert "seed 3" in text
+
+
+def programs(card: dict[str, Any]) -> list[str]:
+    return [block.command for block in card_text.reading(card) if isinstance(block, card_text.Command)]
+
+
+def test_the_first_program_of_the_readme_reads_the_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_dataset(tmp_path / "data", images=2, splits=("train", "easy"))
+    card = json.loads((tmp_path / "data" / "dataset.json").read_text())
+    counts = {"by_split": {"easy": {"images": 2}, "train": {"images": 2}}}
+    monkeypatch.chdir(tmp_path / "data")
+    values: dict[str, Any] = {}
+    exec(programs({**card, "counts": counts})[0], values)
+    assert len(values["train"]) == 2
+    assert values["labels"][0]["keypoints"]
+    assert "easy" in programs({**card, "counts": {"by_split": {"easy": {}}}})[0]
+
+
+def test_the_readme_of_shards_reads_shards() -> None:
+    card = {**content(), "format": "shards"}
+    card["counts"]["by_split"] = {"easy": {"images": 1, "ground_truth": 1, "ignored": 0}}
+    (program,) = programs(card)
+    assert 'data_files={"easy": "shards/easy-*.tar"}, split="easy"' in program
+
+
+@pytest.mark.parametrize(
+    ("licence", "images", "name", "size"),
+    [
+        ("CC BY 4.0", 999, "cc-by-4.0", "n<1K"),
+        ("ODbL 1.0", 1000, "odbl", "1K<n<10K"),
+        ("mine", 25_004, "other", "10K<n<100K"),
+    ],
+)
+def test_the_readme_begins_with_what_a_hub_reads(licence: str, images: int, name: str, size: str) -> None:
+    card = content()
+    card["licence"], card["counts"]["images"] = licence, images
+    lines = card_text.markdown(card).splitlines()
+    assert lines[0] == lines[5] == "---"
+    assert lines[1] == f"license: {name}"
+    assert lines[4] == f"size_categories: [{size}]"
 
 
 def test_the_readme_says_what_was_asked_for_of_light_and_traffic() -> None:
