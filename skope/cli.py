@@ -2,15 +2,18 @@
 
 import sys
 import warnings
+from contextlib import nullcontext
 from dataclasses import asdict
-from typing import Any, Final, TextIO
+from pathlib import Path
+from typing import Annotated, Any, Final, TextIO
 
 import typer
 
 from skope.errors import AssumptionWarning, UserError
 from skope.eval.cli.app import app as eval_app
+from skope.files.output_folders import replaceable_output
 from skope.gen.cli.app import app as gen_app
-from skope.terminal.command_options import CommandGroup, Commands, JsonOption, VersionOption
+from skope.terminal.command_options import DIR_METAVAR, CommandGroup, Commands, JsonOption, VersionOption, option
 from skope.terminal.console import Console
 from skope.train.cli import app as train_app
 
@@ -62,7 +65,13 @@ for name, group, holds in (
 
 
 @app.command(short_help="Check this machine: working and missing parts.")
-def doctor(console: Console, json: JsonOption = False) -> None:
+def doctor(
+    console: Console,
+    pictures: Annotated[
+        Path | None, option(metavar=DIR_METAVAR, help="Also simulate, and draw a test image with each renderer here.")
+    ] = None,
+    json: JsonOption = False,
+) -> None:
     """Check what this machine has and lacks, and suggest fixes.
 
     Exit code 2 if a part is broken that a command needs.
@@ -70,19 +79,24 @@ def doctor(console: Console, json: JsonOption = False) -> None:
     from skope.doctor import STATUS_WORDS, examine
 
     findings = []
-    for finding in examine():
-        findings.append(finding)
-        if not json:
-            console.result(f"{STATUS_WORDS[finding.status]:<3} {finding.part:<16} {finding.text}")
+    drawn = (
+        replaceable_output(pictures, "skope doctor", "the renderers", flag="--pictures") if pictures else nullcontext()
+    )
+    with drawn as folder:
+        for finding in examine(folder):
+            findings.append(finding)
+            if not json:
+                console.result(f"{STATUS_WORDS[finding.status]:<3} {finding.part:<17} {finding.text}")
     broken = [finding for finding in findings if finding.status == "broken"]
     if json:
-        console.document({"works": not broken, "parts": [asdict(finding) for finding in findings]})
+        where = str(pictures) if pictures else None
+        console.document({"works": not broken, "parts": [asdict(finding) for finding in findings], "pictures": where})
     elif broken:
         fails = dict.fromkeys(command for finding in broken for command in finding.fails)
         names = ", ".join(finding.part for finding in broken)
         console.result(f"not working: {names}; these commands fail: {', '.join(fails)}")
     else:
-        console.result("all commands work; `skope gen doctor` also draws test images")
+        console.result("all commands work" + ("" if pictures else "; --pictures DIR also draws test images"))
     if broken:
         raise typer.Exit(2)
 

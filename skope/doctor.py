@@ -96,8 +96,11 @@ DECODERS: Final = ("h264", "hevc", "av1", "mjpeg", "mpeg4", "vp9")
 """Codecs of common cameras and files."""
 
 
-def examine() -> Iterator[PartFinding]:
-    """Try every part of the installation, and yield a finding for each, in the order of the printed lines."""
+def examine(pictures: Path | None = None) -> Iterator[PartFinding]:
+    """Try every part of the installation, and yield a finding for each, in the order of the printed lines.
+
+    With `pictures`, also simulate a frame, and draw it with each renderer to that folder.
+    """
     with contextlib.ExitStack() as stack:
         started = {name: (stack.enter_context(_started(parts)), parts) for name, parts in PROCESSES.items()}
         yield _python()
@@ -108,6 +111,8 @@ def examine() -> Iterator[PartFinding]:
     yield from map(_extra, EXTRAS)
     yield PartFinding("disk", "ok", f"{disk_size(shutil.disk_usage('.').free)} free in this folder")
     yield PartFinding("memory", "ok", _memory())
+    if pictures is not None:
+        yield from _test_images(pictures)
 
 
 # --------------------------------------------------------------------------------------------- parts of this process
@@ -193,6 +198,29 @@ def _memory() -> str:
 
 
 _MEMORY_LINES: Final = ("MemTotal", "MemAvailable")
+
+
+def _test_images(folder: Path) -> Iterator[PartFinding]:
+    """Simulate a frame and draw it with each renderer; without a simulation, draw an empty street."""
+    from skope.gen.inspect.trial_images import TESTED_RENDERERS, draw_test_image, simulated_frame
+
+    recording = None
+    try:
+        recording = simulated_frame()
+        yield PartFinding("simulation", "ok", f"{counted(len(recording.vehicles), 'vehicle')} near {recording.site}")
+    except Exception as error:  # a broken library may raise any exception
+        yield PartFinding("simulation", "broken", f"{_reason(error)}; see SUMO and pybullet above", ("skope gen",))
+    for name in TESTED_RENDERERS:
+        try:
+            driver = draw_test_image(name, recording, folder)
+            yield PartFinding(f"renderer {name}", "ok", f"{driver}; drew doctor_{name}.png")
+        except Exception as error:  # likewise
+            yield PartFinding(f"renderer {name}", "broken", _reason(error), (f"skope gen --renderer {name}",))
+
+
+def _reason(error: Exception) -> str:
+    """Return an exception as one line."""
+    return (str(error) or type(error).__name__).splitlines()[0]
 
 
 # ------------------------------------------------------------------------------------------ parts in other processes
@@ -351,8 +379,7 @@ def try_engines(parts: Sequence[str]) -> None:
         except AbsentError as error:
             status, text = "absent", str(error)
         except Exception as error:  # a broken library may raise any exception
-            reason = (str(error) or type(error).__name__).splitlines()[0]
-            status, text = "broken", f"{reason}; {ENGINES[part].remedy}"
+            status, text = "broken", f"{_reason(error)}; {ENGINES[part].remedy}"
         print(json.dumps([part, status, text]), flush=True)
         if status == "broken":
             return

@@ -43,10 +43,10 @@ def test_a_whole_installation_works(skope: Any) -> None:
     code, out, error = skope("doctor")
     *lines, last = out.splitlines()
     assert (code, error) == (0, "")
-    assert last == "all commands work; `skope gen doctor` also draws test images"
+    assert last == "all commands work; --pictures DIR also draws test images"
     parts = ["Python", "skope", *doctor.ENGINES, "road33", "road33-lite"]
     parts += [*(f"extra {name}" for name in doctor.EXTRAS), "disk", "memory"]
-    assert [line[4:21].rstrip() for line in lines] == parts
+    assert [line[4:22].rstrip() for line in lines] == parts
     assert {line[:4] for line in lines} <= {"ok  ", "--  "}
     assert re.search(r"^ok  torch +2\.\d+\S*, torchvision 0\.\d+", out, re.MULTILINE)
     assert re.search(r"^ok  OpenGL +.*\d\.\d", out, re.MULTILINE)
@@ -60,7 +60,7 @@ def test_the_document_has_what_the_lines_have(skope: Any, monkeypatch: pytest.Mo
         PartFinding("b", "absent", "install it"),
         PartFinding("c", "broken", "no", ("skope gen",)),
     ]
-    monkeypatch.setattr(doctor, "examine", lambda: iter(findings))
+    monkeypatch.setattr(doctor, "examine", lambda _: iter(findings))
     code, out, _ = skope("doctor")
     assert (code, [line.split()[:2] for line in out.splitlines()[:-1]]) == (2, [["ok", "a"], ["--", "b"], ["NOT", "c"]])
     assert out.splitlines()[-1] == "not working: c; these commands fail: skope gen"

@@ -95,7 +95,7 @@ def test_an_installed_skope_works_outside_the_clone(installed: Path, tmp_path: P
     place = run(installed, tmp_path, "python", "-c", "import skope; print(skope.__file__)").strip()
     assert Path(place).is_relative_to(installed.parent)
     lines = run(installed, tmp_path, "skope", "doctor").splitlines()
-    assert lines[1].startswith(f"ok  skope            {skope.__version__}, with its")
+    assert lines[1].startswith(f"ok  skope             {skope.__version__}, with its")
     assert not any(line.startswith("NOT") for line in lines)
     words = "--sites t01_main_west --frames 1 --size 96x54 --renderer pybullet --workers 1 --out made"
     run(installed, tmp_path, "skope", "gen", *words.split())

@@ -154,8 +154,8 @@ WRITERS = {
         lost=without("vehicle.json"),
         beside=True,
     ),
-    "gen doctor --pictures": Row(
-        own="gen doctor --pictures OUT", other="gen vehicles show suv --out OUT", lost=without("doctor_pybullet.png")
+    "doctor --pictures": Row(
+        own="doctor --pictures OUT", other="gen vehicles show suv --out OUT", lost=without("doctor_pybullet.png")
     ),
     "train": Row(
         own=f"train --data IN/one --out OUT {_TRAIN}",
@@ -221,7 +221,6 @@ READERS = {
     "gen check",
     "gen stats",
     "gen sites",
-    "gen doctor",
     "gen view",
     "eval view",
     "eval site",
@@ -373,8 +372,8 @@ def yard(skope: Any, given: Path, monkeypatch: pytest.MonkeyPatch) -> Yard:
     for module in ("pipeline.workers", "pipeline.write_footage", "render.choose_renderer"):
         monkeypatch.setattr(f"skope.gen.{module}.make_renderer", hostile.FlatRenderer)
     monkeypatch.setattr("skope.gen.inspect.town_maps.town_map", lambda _: plain)
-    monkeypatch.setattr("skope.gen.inspect.doctor._refuse_blank", lambda *_: None)
-    monkeypatch.setattr("skope.gen.inspect.doctor._torch", lambda: "")
+    monkeypatch.setattr("skope.gen.inspect.trial_images._refuse_blank", lambda *_: None)
+    monkeypatch.setattr("skope.doctor.PROCESSES", {})
     monkeypatch.setenv("SKOPE_VEHICLES", ".")
     return Yard(skope, given)
 

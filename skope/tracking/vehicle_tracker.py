@@ -356,7 +356,7 @@ def _is_in_other_lane(track: OpenTrack, pose: PoseMeasurement) -> bool:
     x, y = (pose.place - track.last_pose.place).tolist()
     aside = abs(y * math.cos(track.way) - x * math.sin(track.way))
     sigma = math.sqrt(np.trace(pose.covariance + track.last_pose.covariance))
-    return TRACKER_LIMITS.lane_m <= aside < TRACKER_LIMITS.turning_radius_m * (1 - math.cos(turn)) - sigma
+    return bool(TRACKER_LIMITS.lane_m <= aside < TRACKER_LIMITS.turning_radius_m * (1 - math.cos(turn)) - sigma)
 
 
 def _by_box(live: list[OpenTrack], rest: list[Detection], least: float, time_s: float) -> list[Detection]:

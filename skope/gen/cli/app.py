@@ -1,15 +1,12 @@
 """`skope gen`: make datasets, check, convert and join them."""
 
 import shlex
-from contextlib import nullcontext
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from skope.errors import UserError
-from skope.files.output_folders import replaceable_output
 from skope.gen.cli import inspect, sites, vehicles
 from skope.gen.cli.options import DatasetOptions, RendererOption, WorkerOptions, machine, output
 from skope.terminal.command_options import (
@@ -18,7 +15,6 @@ from skope.terminal.command_options import (
     FILE_METAVAR,
     LIST_METAVAR,
     Commands,
-    JsonOption,
     option,
 )
 from skope.terminal.console import Console, counted
@@ -190,37 +186,3 @@ def _data(out: Path) -> str:
 
 def _next(console: Console, out: Path, wrote: str, command: str) -> None:
     console.result(f"{f'{wrote} {out}' if wrote else f'{out} is complete already'}; next: {command}")
-
-
-@app.command()
-def doctor(
-    console: Console,
-    pictures: Annotated[
-        Path | None, option(metavar=DIR_METAVAR, help="Folder for a test image of each renderer.")
-    ] = None,
-    json: JsonOption = False,
-) -> None:
-    """Check the installation and suggest fixes. Exit code 1 if a check fails."""
-    from skope.gen.inspect.doctor import examine
-
-    found = []
-    shown = (
-        replaceable_output(pictures, "skope gen doctor", "the renderers", flag="--pictures")
-        if pictures
-        else nullcontext()
-    )
-    with shown as drawn:
-        for status in examine(drawn):
-            found.append(status)
-            if not json:
-                console.result(f"{'ok ' if status.works else 'NOT'} {status.part:<18} {status.text}")
-    broken = [status.part for status in found if not status.works]
-    if json:
-        where = str(pictures) if pictures else None
-        console.document({"works": not broken, "parts": [asdict(status) for status in found], "pictures": where})
-    else:
-        if pictures:
-            console.result(f"wrote what the renderers drew to {pictures}")
-        console.result(f"not working: {', '.join(broken)}" if broken else "everything works; next: skope gen")
-    if broken:
-        raise typer.Exit(1)

@@ -77,7 +77,8 @@ def card_summary(card: Card) -> str:
     return (
         f"{counted(counts['images'], 'image')}{f' of {size} pixels' if size else ''}"
         f"{f' from {sites} camera site' + ('s' if sites > 1 else '') if sites else ''} with "
-        f"{counted(counts['ground_truth'], 'vehicle')} of 33 keypoints each{_scheme(card)}{''.join(category_texts)}{ignored_text}."
+        f"{counted(counts['ground_truth'], 'vehicle')} of 33 keypoints each{_scheme(card)}"
+        f"{''.join(category_texts)}{ignored_text}."
     )
 
 
@@ -115,8 +116,8 @@ def reading(card: Card) -> list[str | Command]:
             Command(READ_BY_DATASETS.format(split=split)),
         ]
     return [
-        "Labels are COCO files, one for each split. Paths in them begin at this folder. manifest.json has the SHA-256 of "
-        "each file. With torchvision:",
+        "Labels are COCO files, one for each split. Paths in them begin at this folder. manifest.json has the SHA-256 "
+        "of each file. With torchvision:",
         Command(READ_BY_TORCHVISION.format(split=split)),
         "With FiftyOne:",
         Command(READ_BY_FIFTYONE.format(split=split)),

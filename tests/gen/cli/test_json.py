@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from skope.gen.inspect.doctor import PartStatus
 from tests.samples import make_dataset
 
 
@@ -132,16 +131,3 @@ def test_a_site_file(skope: Any) -> None:
         f"{told['pitch_deg']:.0f} degrees down, traffic on the {told['traffic']}; wrote {told['picture']}; "
     )
     assert Path(told["picture"]).is_file()
-
-
-@pytest.mark.parametrize("broken", [False, True])
-def test_doctor(skope: Any, monkeypatch: pytest.MonkeyPatch, broken: bool) -> None:
-    parts = [PartStatus("Python", True, "3.11"), PartStatus("SUMO", not broken, "1.21")]
-    monkeypatch.setattr("skope.gen.inspect.doctor.examine", lambda _: iter(parts))
-    code, lines, told = both(skope, "gen", "doctor")
-    assert (code, told["works"]) == ((1, False) if broken else (0, True))
-    assert [f"{'ok ' if one['works'] else 'NOT'} {one['part']:<18} {one['text']}" for one in told["parts"]] == lines[
-        :-1
-    ]
-    assert lines[-1].startswith("not working: SUMO" if broken else "everything works")
-    assert told["pictures"] is None

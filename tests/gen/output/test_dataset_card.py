@@ -72,7 +72,16 @@ def test_the_readme_says_what_a_user_must_know(root: Path) -> None:
     text = (root / "README.md").read_text(encoding="utf-8")
     titles = [line.removeprefix("## ") for line in text.splitlines() if line.startswith("## ")]
     assert titles == [
-        *("What it is for", "How to read it", "How it was made", "What the labels mean", "Balance", "Limits", "People", "Licence"),
+        *(
+            "What it is for",
+            "How to read it",
+            "How it was made",
+            "What the labels mean",
+            "Balance",
+            "Limits",
+            "People",
+            "Licence",
+        ),
     ]
     assert "Not validated for safety or enforcement" in text
     assert "v = 1: inside the image but hidden" in text

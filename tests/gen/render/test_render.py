@@ -1,10 +1,11 @@
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from skope import doctor
 from skope.camera.model import Camera
-from skope.gen.inspect import doctor
 from skope.gen.mesh import flat
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import STATIC_ID, RenderedFrame
@@ -160,11 +161,13 @@ def test_an_empty_street(renderer: str) -> None:
     assert np.isfinite(view.depth[-1]).all()
 
 
-def test_the_doctor_tries_drawing_where_nothing_can_be_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_doctor_tries_drawing_where_nothing_can_be_simulated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """As on a machine that only renders: no SUMO, no pybullet, and OpenGL works."""
     for name in ("libsumo", "pybullet"):
         monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.setattr("skope.gen.inspect.doctor._torch", lambda: "")
-    works = {finding.part: finding.works for finding in doctor.examine(None)}
-    assert works["renderer gl"]
-    assert not any(works[part] for part in ("SUMO", "simulation"))
+    monkeypatch.setattr(doctor, "PROCESSES", {})
+    status = {finding.part: finding.status for finding in doctor.examine(tmp_path)}
+    assert (status["renderer gl"], status["simulation"], status["renderer pybullet"]) == ("ok", "broken", "broken")
+    assert [path.name for path in tmp_path.iterdir()] == ["doctor_gl.png"]
