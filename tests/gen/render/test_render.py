@@ -169,5 +169,5 @@ def test_the_doctor_tries_drawing_where_nothing_can_be_simulated(
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setattr(doctor, "PROCESSES", {})
     status = {finding.part: finding.status for finding in doctor.examine(tmp_path)}
-    assert (status["renderer gl"], status["simulation"], status["renderer pybullet"]) == ("ok", "broken", "broken")
-    assert [path.name for path in tmp_path.iterdir()] == ["doctor_gl.png"]
+    assert (status["renderer gl"], status["simulation"]) == ("ok", "broken")
+    assert (tmp_path / "doctor_gl.png").is_file()
