@@ -99,6 +99,19 @@ RUNS: Final[Sequence[Run]] = (
         " --frames 2 --rounds 1",
         says="| keypoint head | ",
     ),
+    Run(
+        "bench/cameras_on_a_gpu.py",
+        "{dataset}/images --cameras 2 --device cpu --seconds 0.1",
+        says="2 cameras, shared batches: ",
+        apart=True,
+        slow=True,
+    ),
+    Run(
+        "bench/yolo_pose.py",
+        "train yolo11n-pose.yaml --data none --minutes 1 --out {out}",
+        says="this environment lacks the package ultralytics",
+        code=2,
+    ),
     Run("bench_gen.py", f"frames {RENDERING} --vehicles 1 --frames 1 --skope-only", says="files", apart=True),
     Run("bench_gen.py", f"frames {RENDERING} --vehicles 1 --frames 1", says="EGL plugin", apart=True, slow=True),
     Run(
@@ -296,7 +309,7 @@ def test_every_script_is_listed() -> None:
     assert sorted({run.script for run in RUNS}) == PYTHON
     files = [path for path in SCRIPTS.rglob("*") if path.is_file()]
     others = {path.name for path in files if path.suffix not in (".py", ".sh", ".pyc")}
-    recipes = {"leg.toml", "lite.toml", "reference.toml", "world.toml"}
+    recipes = {"leg.toml", "lite.toml", "random.toml", "reference.toml", "world.toml"}
     assert others == {*recipes, "legs.toml", "legs.jsonl", "demo_page.html"}
     for name in recipes:
         assert choose_recipe(str(SCRIPTS / "recipes" / name), gpu=True, bfloat16=True).name == Path(name).stem

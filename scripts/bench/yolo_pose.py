@@ -12,6 +12,7 @@ score the results. A detection is a vehicle with its keypoints, or a person or t
 
 import argparse
 import json
+import sys
 import time
 from pathlib import Path
 from typing import Any, Final
@@ -22,12 +23,20 @@ LEAST_SCORE: Final = 0.001
 MOST_DETECTIONS: Final = 100
 
 
+def network(source: str | Path) -> Any:
+    """Return a network of the package `ultralytics`, by the name of its architecture or a file of weights."""
+    try:
+        from ultralytics import YOLO
+    except ModuleNotFoundError:
+        print("yolo_pose.py: this environment lacks the package ultralytics (AGPL-3.0)", file=sys.stderr)
+        sys.exit(2)
+    return YOLO(source)
+
+
 def train(options: argparse.Namespace) -> None:
     """Train with the package's own settings; only the input size, the batch and the time differ."""
-    from ultralytics import YOLO
-
     begun = time.monotonic()
-    YOLO(options.network).train(
+    network(options.network).train(
         data=str(options.data.resolve()),
         time=options.minutes / 60,
         imgsz=options.size,
@@ -49,18 +58,16 @@ def train(options: argparse.Namespace) -> None:
 
 def predict(options: argparse.Namespace) -> None:
     """Write the detections of all images of a COCO file, and print the time per image."""
-    from ultralytics import YOLO
-
     labels = json.loads(options.annotations.read_text())
     ids = {row["name"]: row["id"] for row in labels["categories"]}
     points = {row["name"]: len(row.get("keypoints", ())) for row in labels["categories"]}
     images = options.images or options.annotations.parent.parent
-    network = YOLO(options.run / WEIGHTS if options.run.is_dir() else options.run)
+    model = network(options.run / WEIGHTS if options.run.is_dir() else options.run)
     rows: list[dict[str, Any]] = []
     spent_ms: list[float] = []
     for image in labels["images"]:
         path = images / image["file_name"]
-        (found,) = network.predict(
+        (found,) = model.predict(
             path,
             imgsz=options.size,
             conf=LEAST_SCORE,
