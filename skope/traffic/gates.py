@@ -81,7 +81,8 @@ class GateCrossing:
     speed: float
     """Speed at the crossing, m/s."""
     speed_sigma: float
-    """Standard deviation of `speed` for an exactly known camera, m/s. `Observation.total_sigma` adds the camera's error."""
+    """Standard deviation of `speed` for an exactly known camera, m/s; `Observation.total_sigma` adds the camera's
+    error."""
     lane: str
     """Name of the lane; empty for a crossing outside all lanes."""
     lane_probability: float

@@ -25,7 +25,7 @@ def simulated_frame() -> Recording:
 
 
 def draw_test_image(renderer: str, recording: Recording | None, folder: Path) -> str:
-    """Draw a recording, or an empty street, to `doctor_RENDERER.png` in a folder; return the name of the driver.
+    """Draw a recording, or an empty street, to a PNG file in a folder; return the name of the driver.
 
     Raises RuntimeError if the image has one colour. Other exceptions are those of a broken library.
     """
