@@ -12,7 +12,6 @@ PYTHON=${PYTHON:-.venv/bin/python} YOLO=${YOLO:?a Python with the package ultral
 DATA=${DATA:-data/bench} OUT=${OUT:-runs/bench} SEED=${SEED:-1} GPU=${GPU:-0} MINUTES=${MINUTES:-4}
 LOADERS=${LOADERS:-8} PHOTOGRAPHS=${PHOTOGRAPHS:-}
 TRAINING=(leg_bench_1) TESTS=(world_7 nights_7) LONGEST=1152
-export CUDA_VISIBLE_DEVICES=$GPU
 
 # The places of stage "bench" and two of the tests in scripts/legs.toml.
 "$PYTHON" - "$DATA" << 'END'
@@ -42,28 +41,28 @@ fi
 run=$OUT/keypoint_rcnn_$SEED
 if [ ! -e "$run/leg.json" ]; then
     # The stage keeps 2.5 minutes for measuring; starting takes about half a minute.
-    "$PYTHON" scripts/train_leg.py run bench --data "$DATA" --workers 0 --loaders "$LOADERS" --gpus 0 --seed "$SEED" \
-        --minutes "$(awk "BEGIN { print $MINUTES + 3 }")" --out "$run"
+    "$PYTHON" scripts/train_leg.py run bench --data "$DATA" --workers 0 --loaders "$LOADERS" --gpus "$GPU" \
+        --seed "$SEED" --minutes "$(awk "BEGIN { print $MINUTES + 3 }")" --out "$run"
 fi
 for folder in $PHOTOGRAPHS; do
     "$PYTHON" scripts/score_photographs.py "$folder" --checkpoint "$(ls "$run"/round_*.safetensors | tail -1)" \
-        --out "$run/$(basename "$folder")"
+        --device "cuda:$GPU" --out "$run/$(basename "$folder")"
 done
 
 for network in yolo11n-pose yolo11s-pose; do
     run=$OUT/${network}_$SEED
     if [ ! -e "$run/weights/last.pt" ]; then
         "$YOLO" scripts/bench/yolo_pose.py train "$network.yaml" --data "$OUT/yolo/data.yaml" --minutes "$MINUTES" \
-            --seed "$SEED" --size $LONGEST --workers "$LOADERS" --cache ram --out "$run"
+            --seed "$SEED" --size $LONGEST --device "$GPU" --workers "$LOADERS" --cache ram --out "$run"
     fi
     for test in "${TESTS[@]}"; do
         "$YOLO" scripts/bench/yolo_pose.py predict "$run" --annotations "$DATA/$test/annotations/extra.json" \
-            --size $LONGEST --out "$run/$test.json"
+            --size $LONGEST --device "$GPU" --out "$run/$test.json"
         "$PYTHON" -m skope eval -q --data "$DATA/$test" --split extra --predictions "$run/$test.json" --out "$run/$test"
     done
     for folder in $PHOTOGRAPHS; do
         "$YOLO" scripts/bench/yolo_pose.py predict "$run" --annotations "$folder"/*.json --images "$folder" \
-            --size $LONGEST --out "$run/$(basename "$folder").json"
+            --size $LONGEST --device "$GPU" --out "$run/$(basename "$folder").json"
         "$PYTHON" scripts/score_photographs.py "$folder" --predictions "$run/$(basename "$folder").json" \
             --out "$run/$(basename "$folder")"
     done

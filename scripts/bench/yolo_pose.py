@@ -73,7 +73,6 @@ def predict(options: argparse.Namespace) -> None:
             conf=LEAST_SCORE,
             max_det=MOST_DETECTIONS,
             device=options.device,
-            half=options.half,
             verbose=False,
         )
         spent_ms.append(sum(found.speed.values()))
@@ -122,7 +121,6 @@ def main() -> None:
     predicting.add_argument("run", type=Path, help="folder of a training, or a file of weights")
     predicting.add_argument("--annotations", type=Path, required=True, help="COCO file whose images are read")
     predicting.add_argument("--images", type=Path, help="folder of the images (default: the dataset of --annotations)")
-    predicting.add_argument("--half", action="store_true", help="use 16-bit floats on a GPU")
     for action in (training, predicting):
         action.add_argument("--size", type=int, default=1152, help="longer edge of the input in pixels")
         action.add_argument("--device", default="0", help="number of a GPU, or cpu")
