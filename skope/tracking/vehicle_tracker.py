@@ -59,8 +59,9 @@ class TrackerLimits:
     """Acceleration at which a vehicle may have turned or braked since its last pose, m/s^2."""
     swerve_s: float = 1.0
     """Maximum duration of that acceleration, seconds."""
-    heading_slack_rad: float = math.radians(45)
-    """Difference between heading and direction of travel, in addition to three standard deviations, that is no turn."""
+    other_way_rad: float = math.radians(120)
+    """Angle to the direction of travel, less three standard deviations, from which a pose faces the other way. Poses of
+    vehicles that the border of the image cuts are off by less."""
     turning_radius_m: float = 5.0
     """Minimum turning radius of the middle of a vehicle, metres."""
     lane_m: float = 1.5
@@ -343,15 +344,14 @@ def _cost(track: OpenTrack, pose: PoseMeasurement) -> float:
 
 
 def _is_in_other_lane(track: OpenTrack, pose: PoseMeasurement) -> bool:
-    """Return whether a pose is that of another vehicle, in the lane beside, that faces another way.
+    """Return whether a pose is that of another vehicle, in the lane beside, that faces the other way.
 
     On a circle of radius R, a turn by an angle a moves a vehicle sideways by R (1 - cos a).
     """
     if track.way is None:
         return False
     turn = abs(math.remainder(pose.heading - track.way, math.tau)) - 3 * pose.heading_sigma
-    turn = min(turn - TRACKER_LIMITS.heading_slack_rad, math.pi)
-    if turn <= 0:
+    if turn < TRACKER_LIMITS.other_way_rad:
         return False
     x, y = (pose.place - track.last_pose.place).tolist()
     aside = abs(y * math.cos(track.way) - x * math.sin(track.way))
