@@ -23,6 +23,7 @@ from typing import Any, Final, Literal
 
 from skope.cpu_count import usable_processors
 from skope.detector import weights
+from skope.errors import first_line
 from skope.files.atomic import sha256_of
 from skope.terminal.console import counted, disk_size
 from skope.version import __version__
@@ -189,15 +190,16 @@ def _is_found(module: str) -> bool:
 
 def _memory() -> str:
     """Return the memory that is available, and the processors that skope uses."""
+    processors = counted(usable_processors(), "processor")
     try:
         text = Path("/proc/meminfo").read_text(encoding="utf-8")
-        total, available = (int(re.findall(rf"^{name}: +(\d+)", text, re.M)[0]) * 1024 for name in _MEMORY_LINES)
-    except (OSError, IndexError):
-        return f"unknown; {counted(usable_processors(), 'processor')}"
-    return f"{disk_size(available)} available of {disk_size(total)}; {counted(usable_processors(), 'processor')}"
-
-
-_MEMORY_LINES: Final = ("MemTotal", "MemAvailable")
+    except OSError:
+        return f"unknown; {processors}"
+    kilobytes = dict(re.findall(r"^(\w+): +(\d+)", text, re.M))
+    if not {"MemTotal", "MemAvailable"} <= kilobytes.keys():
+        return f"unknown; {processors}"
+    total, available = (disk_size(1024 * int(kilobytes[name])) for name in ("MemTotal", "MemAvailable"))
+    return f"{available} available of {total}; {processors}"
 
 
 def _test_images(folder: Path) -> Iterator[PartFinding]:
@@ -209,18 +211,13 @@ def _test_images(folder: Path) -> Iterator[PartFinding]:
         recording = simulated_frame()
         yield PartFinding("simulation", "ok", f"{counted(len(recording.vehicles), 'vehicle')} near {recording.site}")
     except Exception as error:  # a broken library may raise any exception
-        yield PartFinding("simulation", "broken", f"{_reason(error)}; see SUMO and pybullet above", ("skope gen",))
+        yield PartFinding("simulation", "broken", f"{first_line(error)}; see SUMO and pybullet above", ("skope gen",))
     for name in TESTED_RENDERERS:
         try:
             driver = draw_test_image(name, recording, folder)
             yield PartFinding(f"renderer {name}", "ok", f"{driver}; drew doctor_{name}.png")
         except Exception as error:  # likewise
-            yield PartFinding(f"renderer {name}", "broken", _reason(error), (f"skope gen --renderer {name}",))
-
-
-def _reason(error: Exception) -> str:
-    """Return an exception as one line."""
-    return (str(error) or type(error).__name__).splitlines()[0]
+            yield PartFinding(f"renderer {name}", "broken", first_line(error), (f"skope gen --renderer {name}",))
 
 
 # ------------------------------------------------------------------------------------------ parts in other processes
@@ -379,7 +376,7 @@ def try_engines(parts: Sequence[str]) -> None:
         except AbsentError as error:
             status, text = "absent", str(error)
         except Exception as error:  # a broken library may raise any exception
-            status, text = "broken", f"{_reason(error)}; {ENGINES[part].remedy}"
+            status, text = "broken", f"{first_line(error)}; {ENGINES[part].remedy}"
         print(json.dumps([part, status, text]), flush=True)
         if status == "broken":
             return

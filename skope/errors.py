@@ -35,3 +35,8 @@ def one_of(field: str, value: Any, choices: tuple[str, ...]) -> str:
     if value not in choices:
         raise UserError(f"{field}: {value!r} is not one of {', '.join(choices)}")
     return str(value)
+
+
+def first_line(error: Exception) -> str:
+    """Return the first line of an exception's message, or the name of its class if it has no message."""
+    return (str(error).splitlines() or [type(error).__name__])[0]

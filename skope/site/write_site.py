@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from skope.errors import UserError
+from skope.errors import UserError, first_line
 from skope.files.atomic import decoded, locked, read_bytes, replacing
 from skope.site.site_file import SiteFile, parse_site
 
@@ -66,7 +66,7 @@ def _changed(path: Path, data: bytes | None, changes: Mapping[str, Any]) -> byte
         _merge(document, changes, inline=False)
         return tomlkit.dumps(document).encode()
     except (TOMLKitError, ValueError, TypeError, RecursionError, UnicodeDecodeError) as error:
-        line = str(error).splitlines()[0] if str(error) else type(error).__name__
+        line = first_line(error)
         raise UserError(f"{path}: cannot be saved: {line}") from None
 
 

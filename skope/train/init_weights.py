@@ -24,7 +24,7 @@ from skope.detector import weights
 from skope.detector.backbones import BACKBONE_CHOICES, DEFAULT_BACKBONE
 from skope.detector.build import DetectorConfig, build
 from skope.detector.checkpoint import HEADER_FIELD, config_in, find_checkpoint, read_checkpoint
-from skope.errors import UserError
+from skope.errors import UserError, first_line
 from skope.keypoints import Scheme
 from skope.schema import VEHICLE_ALONE
 from skope.train.network_shape import AS_GIVEN, NetworkShape
@@ -73,7 +73,7 @@ def unpickled(path: Path) -> PublishedState:
             'then torch.save(checkpoint["model"], NEW), or under whichever key they are'
         ) from None
     except Exception as error:  # torch.load raises various exceptions for broken archives
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        reason = first_line(error)
         raise UserError(f"{path}: {_NO_WEIGHTS} ({reason})") from None
     if isinstance(state, dict) and isinstance(state.get("model"), dict):
         state = state["model"]

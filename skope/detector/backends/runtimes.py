@@ -17,7 +17,7 @@ import torch
 from skope.cpu_count import usable_processors
 from skope.detector.device import has_bfloat16
 from skope.detector.network_settings import INPUT_NAME
-from skope.errors import UserError
+from skope.errors import UserError, first_line
 from skope.types import Floats32
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ class Runtime(ABC):
                 raise self._unusable(f"{module} is not installed", missing=True) from None
             raise self._unusable(f"{module} is broken ({error})") from None
         except Exception as error:  # a compiled module may raise any exception
-            raise self._unusable(f"{module} is broken ({_first_line(error)})") from None
+            raise self._unusable(f"{module} is broken ({first_line(error)})") from None
 
     def _unusable(self, why: str, *, missing: bool = False) -> UnusableError:
         line = f"--backend {self.backend}: {why}: pip install 'skope[{self.backend}]'"
@@ -89,7 +89,7 @@ class Runtime(ABC):
         try:
             yield
         except Exception as error:  # any exception of the library, for an unsupported operation
-            why = f"{self.module} {self.version} cannot compute the network ({_first_line(error)})"
+            why = f"{self.module} {self.version} cannot compute the network ({first_line(error)})"
             raise self._unusable(why) from None
 
     @abstractmethod
@@ -163,10 +163,6 @@ def _without_shapes(model: bytes) -> bytes:
     parsed = onnx.load_from_string(model)
     parsed.graph.ClearField("value_info")
     return bytes(parsed.SerializeToString())
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 RUNTIME_CLASSES: Final[dict[str, type[Runtime]]] = {runtime.backend: runtime for runtime in (OpenVino, OnnxRuntime)}
