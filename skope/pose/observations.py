@@ -133,16 +133,18 @@ def observe(camera: Camera, found: Array, sigma: Array) -> Observed:
     """
     probability = np.where(np.isfinite(found).all(axis=-1), found[..., 2], 0.0)
     pixels = np.where(np.isfinite(found[..., :2]), found[..., :2], 0.0)
-    rays, valid = camera.rays(pixels)
+    around = np.array([[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
+    distorted = camera.distortion.model != "none"
+    # One call for all points: the lens model is inverted by iteration.
+    rays, valid = camera.rays(pixels + around[: 5 if distorted else 1, None, None])
     focal = np.array([camera.K[0, 0], camera.K[1, 1]])
-    counted = valid & (probability >= KEYPOINT_WEIGHTS.least_probability)
-    xy = np.where(counted[..., None], rays[..., :2], 0.0)
+    counted = valid[0] & (probability >= KEYPOINT_WEIGHTS.least_probability)
+    xy = np.where(counted[..., None], rays[0, ..., :2], 0.0)
     stretch = np.ones(found.shape[:2])
-    if camera.distortion.model != "none":
+    if distorted:
         # Length of a pixel without distortion relative to its length with it: the root of the ratio of areas.
-        right, up = (camera.rays(pixels + step)[0][..., :2] * focal for step in ([0.5, 0.0], [0.0, 0.5]))
-        left, down = (camera.rays(pixels - step)[0][..., :2] * focal for step in ([0.5, 0.0], [0.0, 0.5]))
-        a, b = right - left, up - down
+        right, left, down, up = rays[1:, ..., :2] * focal
+        a, b = right - left, down - up
         area = np.abs(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
         stretch = np.where(counted & np.isfinite(area) & (area > 0), area, 1.0)
     variance = (

@@ -279,10 +279,7 @@ def _overlapping(first: FootprintPath, second: FootprintPath) -> bool:
     """Return whether the footprints ever overlap if each is reduced to 80% of its size."""
     a, b = rows_together(first, second)
     close = np.linalg.norm(first.position[a] - second.position[b], axis=1) < first.radius + second.radius
-    shrunk = [
-        path.position[rows, None] + 0.8 * (path.corners[rows] - path.position[rows, None])
-        for path, rows in ((first, a[close]), (second, b[close]))
-    ]
+    shrunk = [path.footprints[rows].scaled(0.8) for path, rows in ((first, a[close]), (second, b[close]))]
     return bool(overlap(*shrunk).any())
 
 

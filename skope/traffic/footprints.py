@@ -1,7 +1,9 @@
 """Footprints of road users (rectangles on the road), and the time at which two of them meet."""
 
-from collections.abc import Sequence
-from typing import Final
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,49 +11,104 @@ from numpy.typing import NDArray
 from skope.tracks.track import Track
 from skope.types import Array
 
-UNIT_CORNERS: Final = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
+_UNIT_CORNERS: Final = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 _NODE_M: Final = 0.3
 """Minimum distance between nodes of a path, metres, so that jitter of positions does not lengthen the path."""
+_SLACK_M: Final = 1e-6
+"""Margin of the comparison of circumscribed circles, metres, against rounding."""
 
 
-def footprint_corners(centre: Array, facing: Array, size: tuple[float, float]) -> Array:
-    """Return the corners of rectangles.
+@dataclass(frozen=True, eq=False)
+class Footprints:
+    """Footprints of one road user: rectangles of one size."""
 
-    Args:
-        centre: (..., 2) centres, metres.
-        facing: (..., 2) unit vectors along the length.
-        size: Length and width, metres.
+    centre: Array
+    """(..., 2) centres, metres."""
+    facing: Array
+    """(..., 2) unit vectors to the front."""
+    size: tuple[float, float]
+    """Length and width, metres."""
 
-    Returns:
-        (..., 4, 2) corners, metres.
+    def __getitem__(self, index: Any) -> "Footprints":
+        """Return the footprints that an index of numpy selects."""
+        return Footprints(self.centre[index], self.facing[index], self.size)
+
+    def broadcast(self, shape: tuple[int, ...]) -> "Footprints":
+        """Return the footprints broadcast to a shape."""
+        centre, facing = (np.broadcast_to(values, (*shape, 2)) for values in (self.centre, self.facing))
+        return Footprints(centre, facing, self.size)
+
+    def scaled(self, factor: float) -> "Footprints":
+        """Return footprints with the same centres, and length and width multiplied by `factor`."""
+        return Footprints(self.centre, self.facing, (factor * self.size[0], factor * self.size[1]))
+
+    @property
+    def radius(self) -> float:
+        """Half the diagonal, metres."""
+        return math.hypot(*self.size) / 2
+
+    @property
+    def corners(self) -> Array:
+        """(..., 4, 2) corners, metres."""
+        offsets = _UNIT_CORNERS * self.size
+        aside = _turned(self.facing)[..., None, :]
+        return np.asarray(
+            self.centre[..., None, :] + offsets[:, :1] * self.facing[..., None, :] + offsets[:, 1:] * aside
+        )
+
+
+def _turned(vectors: Array) -> Array:
+    """Return vectors (..., 2) turned left by a right angle."""
+    return np.stack([-vectors[..., 1], vectors[..., 0]], axis=-1)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """Return (...,) dot products of vectors (..., 2). This is faster than einsum for two components."""
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1])
+
+
+def _axes(first: Footprints, second: Footprints) -> Iterator[tuple[Array, Array]]:
+    """Yield the directions (..., 2) of the sides of two rectangles.
+
+    Each comes with the distance (...,) of the centres along it up to which the projections of both rectangles overlap.
     """
-    across = np.stack([-facing[..., 1], facing[..., 0]], axis=-1)
-    offsets = UNIT_CORNERS * size
-    along, aside = offsets[:, :1] * facing[..., None, :], offsets[:, 1:] * across[..., None, :]
-    return np.asarray(centre[..., None, :] + along + aside)
+    aside = _turned(first.facing), _turned(second.facing)
+    same, across = np.abs(_dot(first.facing, second.facing)), np.abs(_dot(aside[0], second.facing))
+    halves = [(footprints.size[0] / 2, footprints.size[1] / 2) for footprints in (first, second)]
+    for footprints, left, (length, width), (other_length, other_width) in (
+        (first, aside[0], *halves),
+        (second, aside[1], *halves[::-1]),
+    ):
+        yield footprints.facing, length + other_length * same + other_width * across
+        yield left, width + other_length * across + other_width * same
 
 
-def meeting(first: Array, first_velocity: Array, second: Array, second_velocity: Array) -> tuple[Array, Array]:
-    """Return the period in which two rectangles with constant velocities overlap.
+def overlap(first: Footprints, second: Footprints) -> NDArray[np.bool_]:
+    """Return (...,) whether footprints overlap or touch. The shapes of both are broadcast.
 
-    The method is that of separating axes: rectangles overlap if their projections on the directions of all sides
-    overlap.
+    Two rectangles overlap if their projections on the directions of all sides overlap (separating axes).
+    """
+    away = second.centre - first.centre
+    return np.logical_and.reduce([np.abs(_dot(away, axis)) <= reach for axis, reach in _axes(first, second)])
+
+
+def meeting(
+    first: Footprints, first_velocity: Array, second: Footprints, second_velocity: Array
+) -> tuple[Array, Array]:
+    """Return the period in which footprints with constant velocities overlap, by separating axes.
 
     Args:
-        first: (..., 4, 2) corners of the first rectangle.
-        first_velocity: (..., 2) its velocity, m/s.
-        second: (..., 4, 2) corners of the second rectangle.
-        second_velocity: (..., 2) its velocity, m/s.
+        first: (...,) footprints of the first road user.
+        first_velocity: (..., 2) its velocities, m/s.
+        second: (...,) footprints of the second road user.
+        second_velocity: (..., 2) its velocities, m/s.
 
     Returns:
         (...,) start and (...,) end of the overlap, seconds from now. Start > end if they never overlap.
     """
-    away = second.mean(axis=-2) - first.mean(axis=-2)
-    rate_xy = second_velocity - first_velocity
-    halves = [(shape[..., 0, :] - shape[..., k, :]) / 2 for shape in (first, second) for k in (1, 3)]
+    away, rate_xy = second.centre - first.centre, second_velocity - first_velocity
     begin, end = np.full(away.shape[:-1], -np.inf), np.full(away.shape[:-1], np.inf)
-    for axis in halves:
-        reach = sum(np.abs(_dot(half, axis)) for half in halves)
+    for axis, reach in _axes(first, second):
         apart, rate = _dot(away, axis), _dot(rate_xy, axis)
         still = np.abs(rate) < 1e-12
         safe = np.where(still, 1.0, rate)
@@ -62,16 +119,30 @@ def meeting(first: Array, first_velocity: Array, second: Array, second_velocity:
     return begin, end
 
 
-def _dot(a: Array, b: Array) -> Array:
-    """Return (...,) dot products of vectors (..., 2). This is faster than einsum for two components."""
-    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1])
+def meeting_within(
+    first: Footprints, first_velocity: Array, second: Footprints, second_velocity: Array, until_s: float
+) -> tuple[Array, Array]:
+    """Return the part of the period of `meeting` from now to `until_s`.
 
+    The shapes of both are broadcast. Footprints are compared only where their circumscribed circles meet.
 
-def overlap(first: Array, second: Array) -> NDArray[np.bool_]:
-    """Return (...,) whether rectangles (..., 4, 2) overlap or touch."""
-    still = np.zeros((*first.shape[:-2], 2))
-    begin, end = meeting(first, still, second, still)
-    return np.asarray(begin <= end)
+    Returns:
+        (...,) start and (...,) end of the overlap, seconds from now. Without an overlap, start is infinite and end is
+        minus infinity.
+    """
+    away, rate = np.broadcast_arrays(second.centre - first.centre, second_velocity - first_velocity)
+    nearest_s = np.clip(-_dot(away, rate) / np.maximum(_dot(rate, rate), 1e-12), 0, until_s)
+    gap = away + rate * nearest_s[..., None]
+    near = _dot(gap, gap) <= (first.radius + second.radius + _SLACK_M) ** 2
+    begin, end = np.full(near.shape, np.inf), np.full(near.shape, -np.inf)
+    if near.any():
+        still = np.zeros_like(rate[near])
+        pair = [footprints.broadcast(near.shape)[near] for footprints in (first, second)]
+        since, until = meeting(pair[0], still, pair[1], rate[near])
+        met = (since <= until) & (until >= 0) & (since <= until_s)
+        begin[near] = np.where(met, np.maximum(since, 0), np.inf)
+        end[near] = np.where(met, np.minimum(until, until_s), -np.inf)
+    return begin, end
 
 
 class FootprintPath:
@@ -86,15 +157,14 @@ class FootprintPath:
         self.times_s = np.asarray(self.ticks * step_s, dtype=np.float64)
         self.position, self.facing = self.at(self.times_s)
         self.speed = trajectory.at(trajectory.speed, self.times_s)
-        self.corners = footprint_corners(self.position, self.facing, self.size)
-        self._radius = float(np.hypot(*self.size)) / 2
+        self.footprints = Footprints(self.position, self.facing, self.size)
         self._nodes = self._by_length()
         self.along = np.interp(self.ticks, self._nodes[0], self._nodes[1][:-1])
 
     @property
     def radius(self) -> float:
         """Half the diagonal of the footprint, metres."""
-        return self._radius
+        return self.footprints.radius
 
     def at(self, times_s: Array) -> tuple[Array, Array]:
         """Return positions (..., 2) and unit vectors (..., 2) to the front at times (...,)."""

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.traffic.footprints import FootprintPath, footprint_corners, overlap
+from skope.traffic.footprints import FootprintPath, Footprints, overlap
 from skope.types import Array
 
 
@@ -98,7 +98,7 @@ def _after(first: FootprintPath, second: FootprintPath, most_s: float, swapped: 
         i, j = i[exists], j[exists]
         close = ((first.position[i] - second.position[j]) ** 2).sum(axis=1) < reach**2
         i, j = i[close], j[close]
-        meets = np.flatnonzero(overlap(first.corners[i], second.corners[j])) if len(i) else i
+        meets = np.flatnonzero(overlap(first.footprints[i], second.footprints[j])) if len(i) else i
         if len(meets):
             k = meets[(j[meets] - i[meets]).argmin()]
             return _finer(first, second, first.times_s[i[k]], second.times_s[j[k]], step_s, swapped)
@@ -116,12 +116,8 @@ def _finer(
     )
     first_times = np.clip(first_s + shifts, *first.times_s[[0, -1]])
     second_times = np.clip(second_s + shifts, *second.times_s[[0, -1]])
-    a, b = (
-        footprint_corners(*first.at(first_times), first.size),
-        footprint_corners(*second.at(second_times), second.size),
-    )
-    shape = (len(first_times), len(second_times), 4, 2)
-    meets = overlap(np.broadcast_to(a[:, None], shape), np.broadcast_to(b[None], shape))
+    a, b = Footprints(*first.at(first_times), first.size), Footprints(*second.at(second_times), second.size)
+    meets = overlap(a[:, None], b[None])
     late = second_times[None] - first_times[:, None]
     late = np.where(meets & (late >= 0), late, np.inf)
     i, j = np.unravel_index(int(late.argmin()), late.shape)
@@ -146,7 +142,7 @@ def by_area(first: FootprintPath, second: FootprintPath, about_s: float) -> Encr
     shown = [_during(path, about_s) for path in (first, second)]
     if not all(len(rows) for rows in shown):
         return None
-    shapes = [polygons(path.corners[rows]) for path, rows in zip((first, second), shown, strict=True)]
+    shapes = [polygons(path.footprints[rows].corners) for path, rows in zip((first, second), shown, strict=True)]
     area = unary_union(shapes[0]).intersection(unary_union(shapes[1]))
     if area.area <= 0:
         return None
@@ -169,7 +165,7 @@ def _stay(path: FootprintPath, rows: Array, shapes: Any, area: Any) -> tuple[flo
 
     def within(time_s: float) -> bool:
         position, facing = path.at(np.array([time_s]))
-        return bool(intersects(polygons(footprint_corners(position, facing, path.size))[0], area))
+        return bool(intersects(polygons(Footprints(position, facing, path.size).corners)[0], area))
 
     inside = np.flatnonzero(intersects(shapes, area))
     times = path.times_s[rows]

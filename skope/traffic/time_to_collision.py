@@ -12,7 +12,7 @@ from skope.confidence_level import at_most
 from skope.schema import PEDESTRIAN_CATEGORY
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track, has_plausible_speed, is_in_traffic
-from skope.traffic.footprints import FootprintPath, footprint_corners, meeting
+from skope.traffic.footprints import FootprintPath, Footprints, meeting_within
 from skope.types import Array
 
 
@@ -131,9 +131,8 @@ def times_to_collision(
         (K,) times to collision, seconds; infinite if there is no collision within `horizon_s`.
     """
     starts_s, ways = _ways((first, second), rows, horizon_s, samples)
-    begin, end = meeting(*ways[0], *ways[1])
-    met = (begin <= end) & (end >= 0) & (begin <= COLLISION_LIMITS.straight_s)
-    seconds = np.where(met, starts_s + np.maximum(begin, 0), np.inf).min(axis=1)
+    begin, _ = meeting_within(*ways[0], *ways[1], COLLISION_LIMITS.straight_s)
+    seconds = (starts_s + begin).min(axis=1)
     return np.asarray(np.where(seconds <= horizon_s, seconds, np.inf))
 
 
@@ -142,11 +141,11 @@ def _ways(
     rows: tuple[NDArray[np.intp], NDArray[np.intp]],
     horizon_s: float,
     samples: SampledStates | None,
-) -> tuple[Array, list[tuple[Array, Array]]]:
+) -> tuple[Array, list[tuple[Footprints, Array]]]:
     """Return the paths ahead of both road users as L straight segments.
 
     Returns:
-        (L,) start times of the segments, and for each road user corners (K, L, 4, 2) and velocities (K, L, 2).
+        (L,) start times of the segments, and for each road user (K, L) footprints and (K, L, 2) velocities.
     """
     starts_s = np.asarray(
         np.arange(int(np.ceil(horizon_s / COLLISION_LIMITS.straight_s)) + 1) * COLLISION_LIMITS.straight_s,
@@ -158,8 +157,8 @@ def _ways(
         index = np.broadcast_to(rows[k][:, None], (len(rows[k]), len(starts_s)))
         position, facing = path.ahead(index, speed[:, None] * starts_s)
         position = position if samples is None else position + samples.shifts[k][:, None]
-        boxes = footprint_corners(position[:, :-1], facing[:, :-1], path.size)
-        ways.append((boxes, np.diff(position, axis=1) / COLLISION_LIMITS.straight_s))
+        velocity = np.diff(position, axis=1) / COLLISION_LIMITS.straight_s
+        ways.append((Footprints(position[:, :-1], facing[:, :-1], path.size), velocity))
     return starts_s[:-1], ways
 
 
@@ -207,7 +206,7 @@ def _across(
 ) -> Array:
     """Return (K,) decelerations, m/s^2, with which the later road user lets the first one leave the common area."""
     starts_s, ways = _ways((first, second), rows, COLLISION_LIMITS.passed_s, samples)
-    stays = _stay(starts_s, ways[0], ways[1][0]), _stay(starts_s, ways[1], ways[0][0])
+    stays = _stay(starts_s, *ways[0], ways[1][0]), _stay(starts_s, *ways[1], ways[0][0])
     out = np.zeros(len(rows[0]))
     for following, leading in ((0, 1), (1, 0)):
         speed, enter, gone = speeds[following], stays[following][0], stays[leading][1]
@@ -222,14 +221,21 @@ def _across(
     return out
 
 
-def _stay(starts_s: Array, way: tuple[Array, Array], places: Array) -> tuple[Array, Array]:
-    """Return (K,) times at which a road user first and last touches areas (K, L, 4, 2), seconds; infinite for none."""
-    shape = (*way[0].shape[:2], places.shape[1])
-    moving = np.broadcast_to(way[0][:, :, None], (*shape, 4, 2))
-    velocity = np.broadcast_to(way[1][:, :, None], (*shape, 2))
-    begin, end = meeting(moving, velocity, np.broadcast_to(places[:, None], (*shape, 4, 2)), np.zeros((*shape, 2)))
-    met = (begin <= end) & (end >= 0) & (begin <= COLLISION_LIMITS.straight_s)
+def _stay(starts_s: Array, moving: Footprints, velocity: Array, places: Footprints) -> tuple[Array, Array]:
+    """Return when a road user first and last touches the places of the other one.
+
+    Args:
+        starts_s: (L,) start times of the segments.
+        moving: (K, L) footprints of the road user.
+        velocity: (K, L, 2) its velocities, m/s.
+        places: (K, L) footprints of the other one.
+
+    Returns:
+        (K,) first and (K,) last times, seconds; infinite for none.
+    """
+    begin, end = meeting_within(
+        moving[:, :, None], velocity[:, :, None], places[:, None], np.zeros(2), COLLISION_LIMITS.straight_s
+    )
     since = starts_s[:, None]
-    enter = np.where(met, since + np.maximum(begin, 0), np.inf).min(axis=(1, 2))
-    leave = np.where(met, since + np.minimum(end, COLLISION_LIMITS.straight_s), -np.inf).max(axis=(1, 2))
-    return enter, np.where(np.isfinite(enter), leave, np.inf)
+    enter = (since + begin).min(axis=(1, 2))
+    return enter, np.where(np.isfinite(enter), (since + end).max(axis=(1, 2)), np.inf)

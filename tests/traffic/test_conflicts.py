@@ -12,10 +12,11 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
 from skope.traffic.conflicts import Conflict, conflicts
 from skope.traffic.event_probability import event_probability
-from skope.traffic.footprints import FootprintPath, footprint_corners, meeting, overlap
+from skope.traffic.footprints import FootprintPath, Footprints, meeting, meeting_within, overlap
 from skope.traffic.post_encroachment_time import by_area, by_places
 from skope.traffic.stitch_broken_tracks import stitch_tracks
 from skope.traffic.time_to_collision import deceleration_to_avoid, times_to_collision
+from skope.types import Array
 from tests.traffic.drives import drive, straight, then
 
 
@@ -23,21 +24,60 @@ def found(*tracks: Track, **settings: float) -> Sequence[Conflict]:
     return conflicts(tracks, TrafficSettings(**settings), np.random.default_rng(0)).conflicts
 
 
+def scattered(rng: np.random.Generator, size: tuple[float, float], count: int = 400) -> Footprints:
+    turn = rng.uniform(0, 7, count)
+    return Footprints(rng.uniform(-5, 5, (count, 2)), np.stack([np.cos(turn), np.sin(turn)], axis=1), size)
+
+
+def intersecting(first: Footprints, second: Footprints) -> Array:
+    """Return whether footprints intersect, according to shapely."""
+    return np.array([Polygon(a).intersects(Polygon(b)) for a, b in zip(first.corners, second.corners, strict=True)])
+
+
+def moved(footprints: Footprints, velocity: Array, time_s: Array | float) -> Footprints:
+    return Footprints(footprints.centre + velocity * np.reshape(time_s, (-1, 1)), footprints.facing, footprints.size)
+
+
 def test_rectangles_meet_when_shapely_says_so() -> None:
     rng = np.random.default_rng(0)
-    angles = rng.uniform(0, 7, (2, 400))
-    boxes = [
-        footprint_corners(rng.uniform(-5, 5, (400, 2)), np.stack([np.cos(turn), np.sin(turn)], axis=1), (4.0, 2.0))
-        for turn in angles
-    ]
-    shapes = [[Polygon(box) for box in side] for side in boxes]
-    assert overlap(*boxes).tolist() == [a.intersects(b) for a, b in zip(*shapes, strict=True)]
-    velocity = rng.normal(0, 3, (2, 400, 2))
-    begin, end = meeting(boxes[0], velocity[0], boxes[1], velocity[1])
-    for k in np.flatnonzero(begin <= end)[:60]:
-        for time_s, wanted in ((begin[k] - 1e-3, False), ((begin[k] + end[k]) / 2, True), (end[k] + 1e-3, False)):
-            moved = [Polygon(box[k] + v[k] * time_s) for box, v in zip(boxes, velocity, strict=True)]
-            assert moved[0].intersects(moved[1]) == wanted
+    first, second, velocity = scattered(rng, (4.0, 2.0)), scattered(rng, (12.0, 2.5)), rng.normal(0, 3, (2, 400, 2))
+    assert overlap(first, second).tolist() == intersecting(first, second).tolist()
+    begin, end = meeting(first, velocity[0], second, velocity[1])
+    met = begin <= end
+    assert 100 < met.sum() < 400
+    for times_s, wanted in ((begin - 1e-3, False), ((begin + end) / 2, True), (end + 1e-3, False)):
+        pair = [
+            moved(footprints, speed, times_s)[met] for footprints, speed in zip((first, second), velocity, strict=True)
+        ]
+        assert (intersecting(*pair) == wanted).all()
+
+
+def test_the_corners_of_a_footprint() -> None:
+    facing = Footprints(np.array([[10.0, 5.0]]), np.array([[0.0, 1.0]]), (4.0, 2.0))
+    assert facing.corners[0].tolist() == [[9, 7], [11, 7], [11, 3], [9, 3]]
+    assert facing.radius == math.sqrt(5)
+    assert facing.scaled(0.5).corners[0].tolist() == [[9.5, 6], [10.5, 6], [10.5, 4], [9.5, 4]]
+
+
+def test_footprints_meet_within_a_time_when_they_do_at_one_of_its_moments() -> None:
+    rng = np.random.default_rng(1)
+    first, second, velocity = scattered(rng, (4.0, 2.0)), scattered(rng, (12.0, 2.5)), rng.normal(0, 4, (2, 400, 2))
+    begin, end = meeting_within(first, velocity[0], second, velocity[1], 0.5)
+    wanted = np.zeros(400, dtype=bool)
+    for time_s in np.linspace(0, 0.5, 101):
+        meets = intersecting(moved(first, velocity[0], time_s), moved(second, velocity[1], time_s))
+        wanted |= meets
+        assert (meets <= (begin <= time_s + 1e-9)).all()
+        assert (meets <= (time_s - 1e-9 <= end)).all()
+        # Rounding may decide otherwise only at the ends of a period.
+        inside = (begin + 1e-9 < time_s) & (time_s < end - 1e-9)
+        assert (inside <= meets).all()
+    assert 100 < wanted.sum() < 350
+    assert (np.isfinite(begin) & ~wanted).sum() <= 5, "an overlap between two of the 101 times"
+    assert (begin[np.isfinite(begin)] >= 0).all()
+    assert (end[np.isfinite(end)] <= 0.5).all()
+    every, _ = meeting_within(first[:, None], velocity[0][:, None], second[None], velocity[1][None], 0.5)
+    assert np.diagonal(every) == pytest.approx(begin)
 
 
 def test_one_behind_the_other() -> None:
