@@ -177,6 +177,9 @@ FOREIGN_SCHEMES: Final[dict[str, Map]] = {
     "skope3d": SKOPE3D,
 }
 
+BOX_SCHEMES: Final = ("boxes", "coco")
+"""Schemes of detectors without keypoints: with the category numbers of skope, and with those of COCO."""
+
 FOREIGN_K: Final[dict[str, int]] = {"apollo24": 24, "carfusion14": 14, "veri20": 20, "skope3d": 33}
 """Number of each scheme's keypoints, including those without a counterpart."""
 

@@ -34,6 +34,8 @@ CATEGORY_ID: Final = 1
 """Id of the category `VEHICLE_CATEGORY`."""
 ROAD_USER_IDS: Final = (2, 3, 4)
 """Ids of the categories without keypoints."""
+COCO_IDS: Final = {1: 4, 2: 2, 3: 1, 4: 3, 6: 1, 8: 1}
+"""Id of a category in COCO (person, bicycle, car, motorcycle, bus, truck) -> id in `CATEGORY_NAMES`."""
 SUPERCATEGORY_NAMES: Final = ("vehicle", "vehicle", "vehicle", "person")
 
 VEHICLE_TYPES: Final = (

@@ -262,8 +262,8 @@ def read_results(path: Path, foreign: str | None = None) -> tuple[Result, ...]:
 
     Args:
         path: A .json file with a list of results.
-        foreign: Scheme of the keypoints if it is not skope's, one of `keypoints.FOREIGN_SCHEMES`. Points with the same
-            meaning are taken over; all other points are 0.
+        foreign: Scheme of the keypoints if it is not skope's, one of `keypoints.FOREIGN_SCHEMES` or
+            `keypoints.BOX_SCHEMES`. Points with the same meaning are taken over; all other points are 0.
 
     Raises:
         UserError: A result is malformed; the message names file, result and field.
@@ -286,7 +286,22 @@ def iter_results(path: Path, foreign: str | None = None) -> Iterator[Result]:
 
 def iter_all_results(path: Path, foreign: str | None = None) -> Iterator[Result | RoadUserResult]:
     """Yield the results of a file in its order, of vehicles and of other road users (see `iter_results`)."""
-    return _parsed(path, "results", _result_rows(path), lambda row: any_result_from_dict(row, foreign))
+    return (result for _, result in numbered_results(path, foreign))
+
+
+def numbered_results(path: Path, foreign: str | None = None) -> Iterator[tuple[int, Result | RoadUserResult]]:
+    """Yield the results of `iter_all_results`, each with its index in the file.
+
+    Results of COCO categories that are no road users are left out (scheme `coco`).
+    """
+
+    def parse(row: Mapping[str, Any]) -> Result | RoadUserResult | None:
+        if foreign in keypoints.BOX_SCHEMES:
+            return _box_from_dict(row, schema.COCO_IDS if foreign == "coco" else None)
+        return any_result_from_dict(row, foreign)
+
+    parsed = _parsed(path, "results", _result_rows(path), parse)
+    return ((i, result) for i, result in enumerate(parsed) if result is not None)
 
 
 def _result_rows(path: Path) -> Iterator[Any]:
@@ -319,16 +334,30 @@ def any_result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> 
 
     Other programs number their vehicles differently; theirs have keypoints. All elements with `foreign` are vehicles.
     """
-    if foreign is None and "keypoints" not in row and row.get("category_id") in schema.ROAD_USER_IDS:
-        return RoadUserResult(
-            image_id=row["image_id"],
-            category_id=row["category_id"],
-            bbox=row["bbox"],
-            score=row["score"],
-            interpolated=row.get("interpolated", False),
-            track_id=row.get("track_id"),
-        )
+    if foreign is None and "keypoints" not in row:
+        if row.get("category_id") in schema.ROAD_USER_IDS:
+            return RoadUserResult(
+                image_id=row["image_id"],
+                category_id=row["category_id"],
+                bbox=row["bbox"],
+                score=row["score"],
+                interpolated=row.get("interpolated", False),
+                track_id=row.get("track_id"),
+            )
+        raise UserError("field keypoints is missing (for results that are boxes alone: --scheme boxes or coco)")
     return result_from_dict(row, foreign)
+
+
+def _box_from_dict(row: Mapping[str, Any], ids: Mapping[int, int] | None) -> Result | RoadUserResult | None:
+    """Return an element of a results file whose vehicles have no keypoints; None if it is no road user.
+
+    `ids` are the ids of skope's categories by those of the file; None: they are the same.
+    """
+    category = row["category_id"] if ids is None else ids.get(row["category_id"])
+    if category is None:
+        return None
+    own = {name: row[name] for name in ("image_id", "bbox", "score")} | {"category_id": category}
+    return any_result_from_dict(own if category in schema.ROAD_USER_IDS else own | {"keypoints": _NO_KEYPOINTS})
 
 
 def result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> Result:

@@ -193,7 +193,13 @@ def _doubts(
 ) -> Iterator[str]:
     """Yield warnings on guessed boxes of a results file, and on implausible annotations."""
     for found in results.values():
-        unboxed = [result for result in apart(found)[0] if not result.boxed]
+        vehicles, others = apart(found)
+        if others and not vehicles and any(file.annotations for file in splits):
+            yield (
+                f"{job.predictions}: {counted(len(others), 'result')} of bicycles, motorcycles and pedestrians "
+                "(category_id 2 to 4), none of a vehicle; --scheme coco reads the category numbers of COCO"
+            )
+        unboxed = [result for result in vehicles if not result.boxed]
         if unboxed:
             yield (
                 f"{job.predictions}: {counted(len(unboxed), 'result')} without bbox, first for image "

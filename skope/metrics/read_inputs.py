@@ -18,8 +18,8 @@ from skope.schema import AnnotationFile, AnyResult, Found, Result, RoadUserResul
 
 F = TypeVar("F", bound=Found)
 
-RESULT_SCHEMES: Final = (keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES)
-"""Keypoint schemes of results that can be compared with the ground truth."""
+RESULT_SCHEMES: Final = (keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES, *keypoints.BOX_SCHEMES)
+"""Schemes of results that can be compared with the ground truth."""
 TEST_SPLITS: Final = ("easy", "medium", "hard", "extra")
 
 
@@ -84,7 +84,7 @@ def scheme_points(scheme: str, truth: Scheme = keypoints.SKOPE33) -> tuple[int, 
     one_of("--scheme", scheme, RESULT_SCHEMES if truth.name == keypoints.SCHEME else (truth.name,))
     if scheme == truth.name:
         return tuple(range(keypoints.K))
-    return tuple(sorted(keypoints.FOREIGN_SCHEMES[scheme].values()))
+    return tuple(sorted(keypoints.FOREIGN_SCHEMES.get(scheme, {}).values()))
 
 
 def read_vehicle_results(path: Path, file: AnnotationFile, scheme: str | None = None) -> tuple[Result, ...]:
@@ -153,7 +153,7 @@ def _for_file(path: Path, file: AnnotationFile, scheme: str | None) -> Iterator[
 def _all_for_file(path: Path, file: AnnotationFile, scheme: str | None) -> Iterator[AnyResult]:
     images = {image.id for image in file.images}
     categories = {a.category_id for a in file.annotations}
-    for i, result in enumerate(coco.iter_all_results(path, None if scheme == file.scheme.name else scheme)):
+    for i, result in coco.numbered_results(path, None if scheme == file.scheme.name else scheme):
         if result.image_id not in images:
             raise UserError(f"{path}: results[{i}]: image_id {result.image_id} is not among the images of {file.name}")
         if isinstance(result, Result) and categories and result.category_id not in categories:

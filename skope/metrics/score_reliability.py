@@ -39,7 +39,7 @@ def confidence(matches: Matches, outcomes: Outcomes, options: MetricOptions) -> 
         options: The counting rules.
     """
     found = outcomes.found
-    points = np.array(options.points)
+    points = np.array(options.points, dtype=np.intp)
     score = matches.det_keypoints[outcomes.detection[found]][:, points, 2]
     v = matches.gt_keypoints[found][:, points, 2]
     offset, reach = outcomes.offset[found][:, points], options.alpha * outcomes.length[found, None]

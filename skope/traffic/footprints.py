@@ -74,13 +74,11 @@ def _axes(first: Footprints, second: Footprints) -> Iterator[tuple[Array, Array]
     """
     aside = _turned(first.facing), _turned(second.facing)
     same, across = np.abs(_dot(first.facing, second.facing)), np.abs(_dot(aside[0], second.facing))
-    halves = [(footprints.size[0] / 2, footprints.size[1] / 2) for footprints in (first, second)]
-    for footprints, left, (length, width), (other_length, other_width) in (
-        (first, aside[0], *halves),
-        (second, aside[1], *halves[::-1]),
-    ):
-        yield footprints.facing, length + other_length * same + other_width * across
-        yield left, width + other_length * across + other_width * same
+    for footprints, left, other in ((first, aside[0], second), (second, aside[1], first)):
+        length, width = footprints.size
+        other_length, other_width = other.size
+        yield footprints.facing, (length + other_length * same + other_width * across) / 2
+        yield left, (width + other_length * across + other_width * same) / 2
 
 
 def overlap(first: Footprints, second: Footprints) -> NDArray[np.bool_]:
@@ -89,7 +87,9 @@ def overlap(first: Footprints, second: Footprints) -> NDArray[np.bool_]:
     Two rectangles overlap if their projections on the directions of all sides overlap (separating axes).
     """
     away = second.centre - first.centre
-    return np.logical_and.reduce([np.abs(_dot(away, axis)) <= reach for axis, reach in _axes(first, second)])
+    return np.asarray(
+        np.logical_and.reduce([np.abs(_dot(away, axis)) <= reach for axis, reach in _axes(first, second)])
+    )
 
 
 def meeting(

@@ -445,6 +445,23 @@ def test_boxes_of_other_programs_are_no_road_users() -> None:
     """COCO's own category 3 is the car; where files are said to be others' a result without keypoints is a mistake."""
     row = {"image_id": 1, "category_id": 3, "bbox": [1, 2, 3, 4], "score": 0.5}
     assert isinstance(coco.any_result_from_dict(row), RoadUserResult)
-    for other, foreign in ((row, "apollo24"), (row | {"category_id": 1}, None)):
-        with pytest.raises(KeyError, match="keypoints"):
+    for other, foreign, error in ((row, "apollo24", KeyError), (row | {"category_id": 1}, None, UserError)):
+        with pytest.raises(error, match="keypoints"):
             coco.any_result_from_dict(other, foreign)
+
+
+def test_boxes_alone_with_the_category_numbers_of_skope_or_of_coco(tmp_path: Path) -> None:
+    path = tmp_path / "boxes.json"
+    box = {"bbox": [1, 2, 3, 4], "score": 0.5}
+    path.write_text(json.dumps([{"image_id": number, "category_id": number, **box} for number in range(1, 11)]))
+    found = dict(coco.numbered_results(path, "coco"))
+    assert {number + 1: result.category_id for number, result in found.items()} == {1: 4, 2: 2, 3: 1, 4: 3, 6: 1, 8: 1}
+    assert all(result.image_id == number + 1 for number, result in found.items())
+    assert [result.image_id for result in coco.read_results(path, "coco")] == [3, 6, 8]
+    assert not any(result.keypoints.any() for result in coco.read_results(path, "coco"))
+    path.write_text(json.dumps([{"image_id": 1, "category_id": number, **box} for number in (1, 2, 4)]))
+    kinds = [(type(result), result.category_id) for result in coco.iter_all_results(path, "boxes")]
+    assert kinds == [(Result, 1), (RoadUserResult, 2), (RoadUserResult, 4)]
+    path.write_text(json.dumps([{"image_id": 1, "category_id": 1, "score": 0.5}]))
+    with pytest.raises(UserError, match=r"boxes\.json: results\[0\]: field bbox is missing"):
+        coco.read_results(path, "boxes")

@@ -78,6 +78,55 @@ def test_figures_of_other_road_users_stand_beside_those_of_vehicles(
     assert without == {key: value for key, value in entry.items() if key != "categories"}
 
 
+def test_boxes_without_keypoints_have_the_same_figures_of_boxes(skope: Any, tmp_path: Path) -> None:
+    data = road_users.make_dataset(tmp_path / "data", images=3, splits=("easy",))
+    truth = coco.read(data / "annotations" / "easy.json")
+    with_points = [
+        {
+            "image_id": label.image_id,
+            "category_id": label.category_id,
+            "bbox": (np.array(label.bbox) + [1, 0, 0, 0]).tolist(),
+            "score": 0.5 + label.id / 100,
+        }
+        | ({"keypoints": np.minimum(label.keypoints, [1e4, 1e4, 1]).ravel().tolist()} if label.category_id == 1 else {})
+        for label in (*truth.annotations, *truth.road_users)
+    ]
+    boxes = [{key: value for key, value in row.items() if key != "keypoints"} for row in with_points]
+    numbers = {1: 3, 2: 2, 3: 4, 4: 1}
+    in_coco = [row | {"category_id": numbers[row["category_id"]]} for row in boxes]
+    stop_sign = boxes[0] | {"category_id": 13, "score": 0.99}
+    entries, said = {}, {}
+    for name, rows, scheme in (
+        ("points", with_points, ()),
+        ("boxes", boxes, ("--scheme", "boxes")),
+        ("coco", [*in_coco, stop_sign], ("--scheme", "coco")),
+        ("twisted", [row for row in in_coco if row["category_id"] > 1], ()),
+    ):
+        Path(f"{name}.json").write_text(json.dumps(rows))
+        common = ("--data", data, "--split", "easy", "--score", "0.3", *QUIET)
+        code, said[name], error = skope("eval", *common, "--predictions", f"{name}.json", *scheme, "--out", name)
+        assert code == 0, error
+        said[name] += error
+        entries[name] = read(Path(name, "metrics.json"))["splits"]["easy"]
+    assert entries["coco"] == entries["boxes"]
+    wanted, found = entries["points"], entries["boxes"]
+    assert found["coco"]["box_ap50"] == wanted["coco"]["box_ap50"] == 1
+    assert found["categories"] == wanted["categories"]
+    assert found["iou"]["0.6"]["box_recall"] == wanted["iou"]["0.6"]["box_recall"]
+    assert wanted["coco"]["keypoint_ap50"] == 1
+    assert found["coco"]["keypoint_ap50"] is None
+    assert found["iou"]["0.6"]["pck"] is None
+    # Numbers of COCO that are read as skope's: cars would be motorcycles, and no vehicle would be there.
+    assert entries["twisted"]["detections"] == 0
+    misread = sum(row["category_id"] > 1 for row in in_coco)
+    assert f"twisted.json: {misread} results of bicycles, motorcycles and pedestrians" in said["twisted"]
+    assert "--scheme coco" in said["twisted"]
+    code, _, error = skope("eval", "--data", data, "--split", "easy", "--predictions", "boxes.json", "--out", "none")
+    assert code == 2
+    assert "boxes.json: results[0]: field keypoints is missing" in error
+    assert "--scheme boxes or coco" in error
+
+
 def test_where_the_ground_truth_labels_vehicles_alone_there_are_no_other_figures(
     skope: Any, categories_run: Path, tmp_path: Path
 ) -> None:

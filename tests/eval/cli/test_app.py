@@ -188,7 +188,7 @@ def test_a_bad_result_gets_one_line(skope: Any, tmp_path: Path, changes: dict[st
     assert not Path("eval").exists()
 
 
-@pytest.mark.parametrize("missing", ["image_id", "keypoints", "score"])
+@pytest.mark.parametrize("missing", ["image_id", "score"])
 def test_a_missing_field_of_a_result_is_named(skope: Any, tmp_path: Path, missing: str) -> None:
     truth, results = write_pair(tmp_path)
     rows = json.loads(results.read_text())
