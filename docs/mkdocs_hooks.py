@@ -1,7 +1,7 @@
 """What mkdocs.yml needs besides docs/: the README as the first page, and pages on commands and Python from the code.
 
 mkdocs calls the functions by their names. Links that leave docs/ become plain text, as what they name is not published.
-A line `{{ program NAME }}` of a page is replaced by the text of examples/gallery/NAME.py.
+A line `<!-- program: NAME -->` of a page is replaced by the text of examples/gallery/NAME.py.
 """
 
 import posixpath
@@ -20,7 +20,7 @@ from skope import cli
 
 ROOT: Final = Path(__file__).parents[1]
 _LINK: Final = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)\s]+)\)")
-_PROGRAM: Final = re.compile(r"^\{\{ program (\w+) \}\}$", re.MULTILINE)
+_PROGRAM: Final = re.compile(r"^<!-- program: (\w+) -->$", re.MULTILINE)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

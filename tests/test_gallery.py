@@ -90,7 +90,7 @@ def test_the_page_has_every_program() -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert {path.stem for path in GALLERY.glob("*.py")} == {*PROGRAMS, "make_clip"}
     for name in (*PROGRAMS, "make_clip"):
-        assert text.count(f"\n{{{{ program {name} }}}}\n") == 1
+        assert text.count(f"\n<!-- program: {name} -->\n") == 1
         assert f"](../../examples/gallery/{name}.py)" in text
     assert [line for line in text.splitlines() if line.startswith("![")] == [
         line for name in PROGRAMS for line in text.splitlines() if line.startswith("![") and f"]({name}.jpg)" in line
@@ -123,7 +123,7 @@ def test_the_text_of_a_program_is_inserted(monkeypatch: pytest.MonkeyPatch) -> N
     page = SimpleNamespace(file=SimpleNamespace(src_uri="gallery/index.md"))
     files = SimpleNamespace(get_file_from_path=lambda path: None)
     built = hooks.on_page_markdown(PAGE.read_text(encoding="utf-8"), page, None, files)
-    assert "{{" not in built
+    assert "<!-- program" not in built
     for name in PROGRAMS:
         text = (GALLERY / f"{name}.py").read_text(encoding="utf-8")
         assert f"```python\n{text}```\n" in built

@@ -2,9 +2,9 @@
 
     python examples/gallery/evaluate_other_results.py RESULTS ANNOTATIONS OUT
 
-RESULTS is a COCO results file; boxes without keypoints are accepted. All its rows are vehicles. ANNOTATIONS is a COCO
-annotation file. Without arguments, the program generates twelve images and writes the boxes of `road33-lite` for them.
-OUT is `evaluate_other_results.jpg` by default.
+RESULTS is a COCO results file of boxes, with the category numbers of COCO: cars, buses and trucks are the vehicles.
+Keypoints are not read. ANNOTATIONS is a COCO annotation file. Without arguments, the program generates twelve images
+and writes the boxes of `road33-lite` for them. OUT is `evaluate_other_results.jpg` by default.
 """
 
 import json
@@ -15,13 +15,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import skope
-from skope.schema import Result
 
 
 def main(results: Path, annotations: Path, out: str) -> None:
-    truth, no_points = skope.coco.read(annotations), np.zeros((33, 3))
-    rows = json.loads(results.read_text())
-    found = [Result(keypoints=no_points, **{key: row[key] for key in ("image_id", "bbox", "score")}) for row in rows]
+    truth, found = skope.coco.read(annotations), skope.coco.read_results(results, "coco")
     _, axes = plt.subplots(figsize=(8, 5), layout="constrained")
     for iou in (0.5, 0.75):
         curve = []
@@ -46,7 +43,7 @@ def example(folder: Path) -> tuple[Path, Path]:
     detector, results = skope.load_detector("road33-lite"), folder / "other_detector.json"
     boxes = [row for image in dataset for row in detector(image.pixels()).to_results(image.record.id)]
     rows = [
-        {"image_id": row.image_id, "bbox": row.bbox.tolist(), "score": row.score, "category_id": 1} for row in boxes
+        {"image_id": row.image_id, "bbox": row.bbox.tolist(), "score": row.score, "category_id": 3} for row in boxes
     ]
     results.write_text(json.dumps(rows))
     return results, dataset.root / "annotations" / f"{dataset.splits[0]}.json"

@@ -48,8 +48,8 @@ def traffic(
         data_option(
             metavar="TIME",
             help="Start of the footage, as 2026-11-26T10:00:00. For several recordings give it once for each, in "
-            "their order.",
-            show_default="from the footage or the site file",
+            "their order. The creation time of a video is not read.",
+            show_default="start_time of the tracks (`skope eval track --start-time`, live streams), else the site file",
         ),
     ] = None,
     manual_count: Annotated[

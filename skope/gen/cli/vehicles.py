@@ -11,6 +11,7 @@ from skope.errors import UserError
 from skope.files.output_folders import replaceable_output
 from skope.files.safe_names import name as check_name
 from skope.gen.cli.options import RendererOption
+from skope.schema import VEHICLE_TYPES
 from skope.terminal.command_options import DIR_METAVAR, VEHICLE_SHEETS, Commands, option
 from skope.terminal.console import Console, counted, text_table
 
@@ -112,7 +113,8 @@ def add(
         str | None, option(metavar="NAME", help="Name of the model.", show_default="the name of the file")
     ] = None,
     vehicle_type: Annotated[
-        str, option("--type", metavar="TYPE", help="Its vehicle_type in annotations, such as suv or bus.")
+        str,
+        option("--type", choices=VEHICLE_TYPES, help="Its vehicle_type in annotations."),
     ] = "other",
     wheels: Annotated[
         str | None,
@@ -129,12 +131,10 @@ def add(
     mass: Annotated[float | None, option(help="Mass, kilograms.", show_default="as dense as a car")] = None,
 ) -> None:
     """Add a vehicle model from a file with markers. Use it with `skope gen --vehicles NAME`."""
-    from skope.errors import one_of
     from skope.gen.inspect.vehicle_models import findings
     from skope.gen.vehicles.fleet import fleet
     from skope.gen.vehicles.marked_models import read_marked
     from skope.gen.vehicles.user_models import check_mass, save_model, vehicle_of_model
-    from skope.schema import VEHICLE_TYPES
 
     called = model.stem if name is None else name
     if not re.fullmatch(r"\w[\w-]*", called, re.ASCII) or called in fleet():
@@ -144,7 +144,6 @@ def add(
         raise UserError(f"--scale: expected a positive number, got {scale}")
     if mass is not None:
         check_mass("--mass", mass)
-    one_of("--type", vehicle_type, VEHICLE_TYPES)
     marked = read_marked(model, wheels=_corners(wheels), up=up, forward=forward, scale=scale)
     vehicle = vehicle_of_model(marked, called, vehicle_type, mass)
     found = list(findings(vehicle))
