@@ -96,6 +96,8 @@ def find_encounter(first: FootprintPath, second: FootprintPath, settings: Traffi
     rows, seconds = _approaches(first, second, settings)
     least = int(seconds.argmin()) if len(seconds) else 0
     close = bool(len(seconds) and seconds[least] <= settings.ttc_s)
+    if not close and _go_the_same_way(first, second):
+        return None  # one follows the other: this is a gap
     encroachment = by_places(first, second, settings.pet_s)
     if encroachment is not None and encroachment.seconds == 0:
         encroachment = None  # the footprints touch: positions are not exact enough for an encroachment
@@ -149,6 +151,13 @@ def _approaches(
     ]
     seconds = [times_to_collision(first, second, part, horizon) for part in parts]
     return rows, np.concatenate([np.zeros(0), *seconds])
+
+
+def _go_the_same_way(first: FootprintPath, second: FootprintPath) -> bool:
+    """Return whether all headings of two road users differ by less than `COLLISION_LIMITS.rear_end_deg`."""
+    (first_middle, first_spread), (second_middle, second_spread) = first.headings_deg, second.headings_deg
+    apart = abs(math.remainder(first_middle - second_middle, 360))
+    return apart + first_spread + second_spread < COLLISION_LIMITS.rear_end_deg
 
 
 def _angle_of_ways(first: FootprintPath, second: FootprintPath, i: int, j: int) -> float:

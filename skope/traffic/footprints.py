@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -165,6 +166,15 @@ class FootprintPath:
     def radius(self) -> float:
         """Half the diagonal of the footprint, metres."""
         return self.footprints.radius
+
+    @cached_property
+    def headings_deg(self) -> tuple[float, float]:
+        """Heading of the path's mean direction, and the largest angle between it and a heading of the path, degrees."""
+        east, north = self.facing.sum(axis=0)
+        middle = math.atan2(north, east)
+        turned = np.arctan2(self.facing[:, 1], self.facing[:, 0]) - middle
+        spread = np.abs((turned + math.pi) % math.tau - math.pi).max(initial=0.0)
+        return math.degrees(middle), math.degrees(spread)
 
     def at(self, times_s: Array) -> tuple[Array, Array]:
         """Return positions (..., 2) and unit vectors (..., 2) to the front at times (...,)."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from skope.traffic.footprints import FootprintPath, Footprints, overlap
 from skope.types import Array
@@ -88,16 +89,17 @@ def by_places(first: FootprintPath, second: FootprintPath, most_s: float) -> Enc
 def _after(first: FootprintPath, second: FootprintPath, most_s: float, swapped: bool) -> Encroachment | None:
     step_s = float(first.times_s[1] - first.times_s[0])
     reach = first.radius + second.radius
-    rows = np.arange(len(first.ticks))
     shift = int(first.ticks[0] - second.ticks[0])
-    every = np.arange(round(most_s / step_s) + 1)
+    delays = round(most_s / step_s) + 1
+    # later[i, d] is the place of `second` d steps after row i of `first` (a view, not a copy), or NaN.
+    before, after = max(0, -shift), max(0, len(first.ticks) + delays - 1 + shift - len(second.ticks))
+    place = second.position @ [1, 1j]
+    later = sliding_window_view(np.pad(place, (before, after), constant_values=np.nan)[max(0, shift) :], delays)
+    close = np.abs(later[: len(first.ticks)] - (first.position @ [1, 1j])[:, None]) < reach
     # Examine the delays in batches, shortest first: one batch is usually enough, or the two are never near each other.
-    for late in np.split(every, range(ENCROACHMENT_SEARCH.batch_steps, len(every), ENCROACHMENT_SEARCH.batch_steps)):
-        i, j = np.broadcast_arrays(rows[:, None], rows[:, None] + shift + late)
-        exists = (j >= 0) & (j < len(second.ticks))
-        i, j = i[exists], j[exists]
-        close = ((first.position[i] - second.position[j]) ** 2).sum(axis=1) < reach**2
-        i, j = i[close], j[close]
+    for begin in range(0, delays, ENCROACHMENT_SEARCH.batch_steps):
+        i, late = np.nonzero(close[:, begin : begin + ENCROACHMENT_SEARCH.batch_steps])
+        j = i + shift + begin + late
         meets = np.flatnonzero(overlap(first.footprints[i], second.footprints[j])) if len(i) else i
         if len(meets):
             k = meets[(j[meets] - i[meets]).argmin()]
