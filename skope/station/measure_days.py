@@ -91,8 +91,14 @@ class StationWork:
             rows = yield from self._without_overlaps(camera, recordings)
             kept = [camera.tracks / row.folder for row in rows]
             footage = read_recordings(kept, (), camera.site, _TIME_KEY)
+            # The database has no table of conflicts.
             report = measure(
-                footage.tracks, footage.observation, camera.site, footage.start, recordings=footage.recordings
+                footage.tracks,
+                footage.observation,
+                camera.site,
+                footage.start,
+                search_conflicts=False,
+                recordings=footage.recordings,
             )
         except UserError as error:
             yield f"{camera.name}: {day}: not measured: {error}"

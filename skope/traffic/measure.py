@@ -47,6 +47,7 @@ def measure(
     manual_counts: Sequence[ManualCount] = (),
     *,
     broken: bool = True,
+    search_conflicts: bool = True,
     recordings: Sequence[SiteRecording] = (),
 ) -> TrafficReport:
     """Count and measure the traffic of a footage.
@@ -59,6 +60,7 @@ def measure(
         manual_counts: Manual counts of the same footage.
         broken: Whether the track of a road user may be broken into several, which are then joined. False for simulated
             tracks.
+        search_conflicts: Whether to search for conflicts, which takes most of the time. If not, the report has none.
         recordings: The recordings, if tracks and observation are of several.
     """
     settings = site.traffic
@@ -78,7 +80,11 @@ def measure(
     sections = section_passes(moved)
     speeds = speed_groups(crossed, sections, intervals, observation)
     search = conflicts(
-        trajectories, settings, np.random.default_rng(DRAW_SEED), site.zones, observation.common_scale_sigma or 0.0
+        trajectories if search_conflicts else (),
+        settings,
+        np.random.default_rng(DRAW_SEED),
+        site.zones,
+        observation.common_scale_sigma or 0.0,
     )
     late = delays(sections, speeds, settings)
     names = [lane.name for lane in site.lanes]
