@@ -160,6 +160,7 @@ CHOSEN = {
     "skope gen convert --to": WRITER_NAMES,
     "skope gen convert --from": READER_NAMES,
     "skope train export --to": tuple(EXPORT_SUFFIXES),
+    "skope gen vehicles add --type": schema.VEHICLE_TYPES,
     "--weather": schema.WEATHER_NAMES,
     "--time-of-day": TIMES_OF_DAY,
     "--engine": ("local", "ray"),
