@@ -179,6 +179,8 @@ FOREIGN_SCHEMES: Final[dict[str, Map]] = {
 
 BOX_SCHEMES: Final = ("boxes", "coco")
 """Schemes of detectors without keypoints: with the category numbers of skope, and with those of COCO."""
+RESULT_SCHEMES: Final = (SCHEME, *FOREIGN_SCHEMES, *BOX_SCHEMES)
+"""Schemes of results that can be compared with the ground truth."""
 
 FOREIGN_K: Final[dict[str, int]] = {"apollo24": 24, "carfusion14": 14, "veri20": 20, "skope3d": 33}
 """Number of each scheme's keypoints, including those without a counterpart."""

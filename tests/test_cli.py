@@ -30,9 +30,9 @@ from skope.gen.output.writers import DATASET_FORMATS
 from skope.gen.pipeline.config import presets
 from skope.gen.render.choose_renderer import RENDERER_CHOICES
 from skope.gen.scene.conditions import TIMES_OF_DAY
+from skope.keypoints import RESULT_SCHEMES
 from skope.metrics.keypoint_outcomes import LABELLED_CHOICES, PROTOCOL_NAMES
 from skope.metrics.match import BOX_KINDS
-from skope.metrics.read_inputs import RESULT_SCHEMES
 from skope.terminal import command_options
 from skope.terminal.command_options import Commands, option
 from skope.terminal.console import Console

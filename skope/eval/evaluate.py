@@ -194,7 +194,8 @@ def _doubts(
     """Yield warnings on guessed boxes of a results file, and on implausible annotations."""
     for found in results.values():
         vehicles, others = apart(found)
-        if others and not vehicles and any(file.annotations for file in splits):
+        foreign = job.scheme in keypoints.BOX_SCHEMES
+        if others and not vehicles and not foreign and any(file.annotations for file in splits):
             yield (
                 f"{job.predictions}: {counted(len(others), 'result')} of bicycles, motorcycles and pedestrians "
                 "(category_id 2 to 4), none of a vehicle; --scheme coco reads the category numbers of COCO"

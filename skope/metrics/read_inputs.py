@@ -18,8 +18,6 @@ from skope.schema import AnnotationFile, AnyResult, Found, Result, RoadUserResul
 
 F = TypeVar("F", bound=Found)
 
-RESULT_SCHEMES: Final = (keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES, *keypoints.BOX_SCHEMES)
-"""Schemes of results that can be compared with the ground truth."""
 TEST_SPLITS: Final = ("easy", "medium", "hard", "extra")
 
 
@@ -81,7 +79,7 @@ def scheme_points(scheme: str, truth: Scheme = keypoints.SKOPE33) -> tuple[int, 
     Raises:
         UserError: The scheme is unknown. The message lists the schemes.
     """
-    one_of("--scheme", scheme, RESULT_SCHEMES if truth.name == keypoints.SCHEME else (truth.name,))
+    one_of("--scheme", scheme, keypoints.RESULT_SCHEMES if truth.name == keypoints.SCHEME else (truth.name,))
     if scheme == truth.name:
         return tuple(range(keypoints.K))
     return tuple(sorted(keypoints.FOREIGN_SCHEMES.get(scheme, {}).values()))

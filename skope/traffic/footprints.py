@@ -93,24 +93,21 @@ def overlap(first: Footprints, second: Footprints) -> NDArray[np.bool_]:
     )
 
 
-def meeting(
-    first: Footprints, first_velocity: Array, second: Footprints, second_velocity: Array
-) -> tuple[Array, Array]:
+def meeting(first: Footprints, second: Footprints, velocity: Array) -> tuple[Array, Array]:
     """Return the period in which footprints with constant velocities overlap, by separating axes.
 
     Args:
         first: (...,) footprints of the first road user.
-        first_velocity: (..., 2) its velocities, m/s.
         second: (...,) footprints of the second road user.
-        second_velocity: (..., 2) its velocities, m/s.
+        velocity: (..., 2) velocities of the second road user relative to the first, m/s.
 
     Returns:
         (...,) start and (...,) end of the overlap, seconds from now. Start > end if they never overlap.
     """
-    away, rate_xy = second.centre - first.centre, second_velocity - first_velocity
+    away = second.centre - first.centre
     begin, end = np.full(away.shape[:-1], -np.inf), np.full(away.shape[:-1], np.inf)
     for axis, reach in _axes(first, second):
-        apart, rate = _dot(away, axis), _dot(rate_xy, axis)
+        apart, rate = _dot(away, axis), _dot(velocity, axis)
         still = np.abs(rate) < 1e-12
         safe = np.where(still, 1.0, rate)
         middle, around = -apart / safe, np.abs(reach / safe)
@@ -120,9 +117,7 @@ def meeting(
     return begin, end
 
 
-def meeting_within(
-    first: Footprints, first_velocity: Array, second: Footprints, second_velocity: Array, until_s: float
-) -> tuple[Array, Array]:
+def meeting_within(first: Footprints, second: Footprints, velocity: Array, until_s: float) -> tuple[Array, Array]:
     """Return the part of the period of `meeting` from now to `until_s`.
 
     The shapes of both are broadcast. Footprints are compared only where their circumscribed circles meet.
@@ -131,15 +126,14 @@ def meeting_within(
         (...,) start and (...,) end of the overlap, seconds from now. Without an overlap, start is infinite and end is
         minus infinity.
     """
-    away, rate = np.broadcast_arrays(second.centre - first.centre, second_velocity - first_velocity)
+    away, rate = np.broadcast_arrays(second.centre - first.centre, velocity)
     nearest_s = np.clip(-_dot(away, rate) / np.maximum(_dot(rate, rate), 1e-12), 0, until_s)
     gap = away + rate * nearest_s[..., None]
     near = _dot(gap, gap) <= (first.radius + second.radius + _SLACK_M) ** 2
     begin, end = np.full(near.shape, np.inf), np.full(near.shape, -np.inf)
     if near.any():
-        still = np.zeros_like(rate[near])
         pair = [footprints.broadcast(near.shape)[near] for footprints in (first, second)]
-        since, until = meeting(pair[0], still, pair[1], rate[near])
+        since, until = meeting(pair[0], pair[1], rate[near])
         met = (since <= until) & (until >= 0) & (since <= until_s)
         begin[near] = np.where(met, np.maximum(since, 0), np.inf)
         end[near] = np.where(met, np.minimum(until, until_s), -np.inf)
@@ -156,9 +150,9 @@ class FootprintPath:
         first, last = int(np.ceil(times[0] / step_s - 1e-9)), int(np.floor(times[-1] / step_s + 1e-9))
         self.ticks = np.arange(first, last + 1)
         self.times_s = np.asarray(self.ticks * step_s, dtype=np.float64)
-        self.position, self.facing = self.at(self.times_s)
+        self.footprints = self.at(self.times_s)
+        self.position, self.facing = self.footprints.centre, self.footprints.facing
         self.speed = trajectory.at(trajectory.speed, self.times_s)
-        self.footprints = Footprints(self.position, self.facing, self.size)
         self._nodes = self._by_length()
         self.along = np.interp(self.ticks, self._nodes[0], self._nodes[1][:-1])
 
@@ -176,11 +170,12 @@ class FootprintPath:
         spread = np.abs((turned + math.pi) % math.tau - math.pi).max(initial=0.0)
         return math.degrees(middle), math.degrees(spread)
 
-    def at(self, times_s: Array) -> tuple[Array, Array]:
-        """Return positions (..., 2) and unit vectors (..., 2) to the front at times (...,)."""
+    def at(self, times_s: Array) -> Footprints:
+        """Return the footprints at times (...,), seconds."""
         position = self.trajectory.at(self.trajectory.xy, times_s)
         facing = self.trajectory.at(self.trajectory.facing, times_s)
-        return position, facing / np.maximum(np.linalg.norm(facing, axis=-1, keepdims=True), 1e-9)
+        norm = np.maximum(np.linalg.norm(facing, axis=-1, keepdims=True), 1e-9)
+        return Footprints(position, facing / norm, self.size)
 
     def _by_length(self) -> tuple[Array, Array, Array, Array]:
         """Return ticks (N,) of the nodes, and distances, positions and headings of the nodes and of a straight end."""

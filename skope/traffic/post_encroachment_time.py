@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from skope.traffic.footprints import FootprintPath, Footprints, overlap
+from skope.traffic.footprints import FootprintPath, overlap
 from skope.types import Array
 
 
@@ -95,10 +95,11 @@ def _after(first: FootprintPath, second: FootprintPath, most_s: float, swapped: 
     before, after = max(0, -shift), max(0, len(first.ticks) + delays - 1 + shift - len(second.ticks))
     place = second.position @ [1, 1j]
     later = sliding_window_view(np.pad(place, (before, after), constant_values=np.nan)[max(0, shift) :], delays)
-    close = np.abs(later[: len(first.ticks)] - (first.position @ [1, 1j])[:, None]) < reach
+    here = (first.position @ [1, 1j])[:, None]
     # Examine the delays in batches, shortest first: one batch is usually enough, or the two are never near each other.
     for begin in range(0, delays, ENCROACHMENT_SEARCH.batch_steps):
-        i, late = np.nonzero(close[:, begin : begin + ENCROACHMENT_SEARCH.batch_steps])
+        batch = later[: len(here), begin : begin + ENCROACHMENT_SEARCH.batch_steps]
+        i, late = np.nonzero(np.abs(batch - here) < reach)
         j = i + shift + begin + late
         meets = np.flatnonzero(overlap(first.footprints[i], second.footprints[j])) if len(i) else i
         if len(meets):
@@ -118,8 +119,7 @@ def _finer(
     )
     first_times = np.clip(first_s + shifts, *first.times_s[[0, -1]])
     second_times = np.clip(second_s + shifts, *second.times_s[[0, -1]])
-    a, b = Footprints(*first.at(first_times), first.size), Footprints(*second.at(second_times), second.size)
-    meets = overlap(a[:, None], b[None])
+    meets = overlap(first.at(first_times)[:, None], second.at(second_times)[None])
     late = second_times[None] - first_times[:, None]
     late = np.where(meets & (late >= 0), late, np.inf)
     i, j = np.unravel_index(int(late.argmin()), late.shape)
@@ -166,8 +166,7 @@ def _stay(path: FootprintPath, rows: Array, shapes: Any, area: Any) -> tuple[flo
     from shapely import intersects, polygons
 
     def within(time_s: float) -> bool:
-        position, facing = path.at(np.array([time_s]))
-        return bool(intersects(polygons(Footprints(position, facing, path.size).corners)[0], area))
+        return bool(intersects(polygons(path.at(np.array([time_s])).corners)[0], area))
 
     inside = np.flatnonzero(intersects(shapes, area))
     times = path.times_s[rows]

@@ -130,8 +130,8 @@ def times_to_collision(
     Returns:
         (K,) times to collision, seconds; infinite if there is no collision within `horizon_s`.
     """
-    starts_s, ways = _ways((first, second), rows, horizon_s, samples)
-    begin, _ = meeting_within(*ways[0], *ways[1], COLLISION_LIMITS.straight_s)
+    starts_s, ((a, a_velocity), (b, b_velocity)) = _ways((first, second), rows, horizon_s, samples)
+    begin, _ = meeting_within(a, b, b_velocity - a_velocity, COLLISION_LIMITS.straight_s)
     seconds = (starts_s + begin).min(axis=1)
     return np.asarray(np.where(seconds <= horizon_s, seconds, np.inf))
 
@@ -222,20 +222,18 @@ def _across(
 
 
 def _stay(starts_s: Array, moving: Footprints, velocity: Array, places: Footprints) -> tuple[Array, Array]:
-    """Return when a road user first and last touches the places of the other one.
+    """Return when a road user first and last touches places where a second road user will be.
 
     Args:
         starts_s: (L,) start times of the segments.
         moving: (K, L) footprints of the road user.
         velocity: (K, L, 2) its velocities, m/s.
-        places: (K, L) footprints of the other one.
+        places: (K, L) footprints of the second road user.
 
     Returns:
         (K,) first and (K,) last times, seconds; infinite for none.
     """
-    begin, end = meeting_within(
-        moving[:, :, None], velocity[:, :, None], places[:, None], np.zeros(2), COLLISION_LIMITS.straight_s
-    )
+    begin, end = meeting_within(moving[:, :, None], places[:, None], -velocity[:, :, None], COLLISION_LIMITS.straight_s)
     since = starts_s[:, None]
     enter = (since + begin).min(axis=(1, 2))
     return enter, np.where(np.isfinite(enter), (since + end).max(axis=(1, 2)), np.inf)

@@ -101,6 +101,7 @@ def test_boxes_without_keypoints_have_the_same_figures_of_boxes(skope: Any, tmp_
         ("boxes", boxes, ("--scheme", "boxes")),
         ("coco", [*in_coco, stop_sign], ("--scheme", "coco")),
         ("twisted", [row for row in in_coco if row["category_id"] > 1], ()),
+        ("people", [row for row in in_coco if row["category_id"] == 1], ("--scheme", "coco")),
     ):
         Path(f"{name}.json").write_text(json.dumps(rows))
         common = ("--data", data, "--split", "easy", "--score", "0.3", *QUIET)
@@ -121,6 +122,7 @@ def test_boxes_without_keypoints_have_the_same_figures_of_boxes(skope: Any, tmp_
     misread = sum(row["category_id"] > 1 for row in in_coco)
     assert f"twisted.json: {misread} results of bicycles, motorcycles and pedestrians" in said["twisted"]
     assert "--scheme coco" in said["twisted"]
+    assert "--scheme coco" not in said["people"]
     code, _, error = skope("eval", "--data", data, "--split", "easy", "--predictions", "boxes.json", "--out", "none")
     assert code == 2
     assert "boxes.json: results[0]: field keypoints is missing" in error

@@ -42,7 +42,7 @@ def test_rectangles_meet_when_shapely_says_so() -> None:
     rng = np.random.default_rng(0)
     first, second, velocity = scattered(rng, (4.0, 2.0)), scattered(rng, (12.0, 2.5)), rng.normal(0, 3, (2, 400, 2))
     assert overlap(first, second).tolist() == intersecting(first, second).tolist()
-    begin, end = meeting(first, velocity[0], second, velocity[1])
+    begin, end = meeting(first, second, velocity[1] - velocity[0])
     met = begin <= end
     assert 100 < met.sum() < 400
     for times_s, wanted in ((begin - 1e-3, False), ((begin + end) / 2, True), (end + 1e-3, False)):
@@ -62,7 +62,7 @@ def test_the_corners_of_a_footprint() -> None:
 def test_footprints_meet_within_a_time_when_they_do_at_one_of_its_moments() -> None:
     rng = np.random.default_rng(1)
     first, second, velocity = scattered(rng, (4.0, 2.0)), scattered(rng, (12.0, 2.5)), rng.normal(0, 4, (2, 400, 2))
-    begin, end = meeting_within(first, velocity[0], second, velocity[1], 0.5)
+    begin, end = meeting_within(first, second, velocity[1] - velocity[0], 0.5)
     wanted = np.zeros(400, dtype=bool)
     for time_s in np.linspace(0, 0.5, 101):
         meets = intersecting(moved(first, velocity[0], time_s), moved(second, velocity[1], time_s))
@@ -76,7 +76,7 @@ def test_footprints_meet_within_a_time_when_they_do_at_one_of_its_moments() -> N
     assert (np.isfinite(begin) & ~wanted).sum() <= 5, "an overlap between two of the 101 times"
     assert (begin[np.isfinite(begin)] >= 0).all()
     assert (end[np.isfinite(end)] <= 0.5).all()
-    every, _ = meeting_within(first[:, None], velocity[0][:, None], second[None], velocity[1][None], 0.5)
+    every, _ = meeting_within(first[:, None], second[None], velocity[1][None] - velocity[0][:, None], 0.5)
     assert np.diagonal(every) == pytest.approx(begin)
 
 

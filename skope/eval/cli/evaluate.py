@@ -152,7 +152,7 @@ def evaluate_or_score(
     scheme: Annotated[
         str | None,
         data_option(
-            choices=(keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES, *keypoints.BOX_SCHEMES),
+            choices=keypoints.RESULT_SCHEMES,
             help="Keypoint scheme of --predictions; keypoints that both schemes have are scored. boxes: no keypoints; "
             "coco: no keypoints, and COCO's category numbers.",
             show_default="the ground truth's",

@@ -164,7 +164,7 @@ def _options(path: Path, metrics: Mapping[str, Any], truth: GroundTruth) -> Metr
     try:
         thresholds = [float(t) for split in metrics["splits"].values() for t in split["iou"]]
         points = tuple(metrics["points"])
-        if metrics["scheme"] not in read_inputs.RESULT_SCHEMES:
+        if metrics["scheme"] not in keypoints.RESULT_SCHEMES:
             raise UserError(f"scheme: {metrics['scheme']!r} is none")
         if not all(isinstance(k, int) and 0 <= k < keypoints.K for k in points):
             raise UserError(f"points: expected whole numbers from 0 to {keypoints.K - 1}")

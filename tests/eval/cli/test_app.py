@@ -188,14 +188,15 @@ def test_a_bad_result_gets_one_line(skope: Any, tmp_path: Path, changes: dict[st
     assert not Path("eval").exists()
 
 
-@pytest.mark.parametrize("missing", ["image_id", "score"])
+@pytest.mark.parametrize("missing", ["image_id", "keypoints", "score"])
 def test_a_missing_field_of_a_result_is_named(skope: Any, tmp_path: Path, missing: str) -> None:
+    remedy = " (for results that are boxes alone: --scheme boxes or coco)" if missing == "keypoints" else ""
     truth, results = write_pair(tmp_path)
     rows = json.loads(results.read_text())
     del rows[0][missing]
     results.write_text(json.dumps(rows))
     code, _, err = skope("eval", "--annotations", truth, "--predictions", results)
-    assert (code, err) == (2, f"skope: {results}: results[0]: field {missing} is missing\n")
+    assert (code, err) == (2, f"skope: {results}: results[0]: field {missing} is missing{remedy}\n")
 
 
 @pytest.mark.parametrize(
