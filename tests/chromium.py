@@ -10,6 +10,8 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
+from tests.waiting import HANG_S
+
 
 class _Pipes:
     """The two ends of a running Chromium's DevTools protocol."""
@@ -74,7 +76,7 @@ class Browser:
         assert "exceptionDetails" not in told, told["exceptionDetails"]
         return told["result"].get("value")
 
-    def until(self, script: str, seconds: float = 20.0) -> None:
+    def until(self, script: str, seconds: float = HANG_S) -> None:
         """Wait until an expression is true."""
         end = time.monotonic() + seconds
         while not self.run(script):
@@ -139,4 +141,4 @@ def chromium(profile: Path) -> Iterator[Callable[[], AbstractContextManager[Brow
         os.close(commands_in)
         os.close(answers_out)
         process.terminate()
-        process.wait(timeout=30)
+        process.wait(timeout=HANG_S)

@@ -40,6 +40,7 @@ from skope.train.export import EXPORT_SUFFIXES
 from skope.train.init_weights import INIT_CHOICES
 from skope.train.recipe import RECIPE_CHOICES, SUPERVISE_CHOICES
 from tests.samples import make_dataset
+from tests.waiting import HANG_S
 
 
 def tree(command: Any, name: str = "skope") -> Iterator[tuple[str, Any]]:
@@ -366,7 +367,7 @@ def test_ctrl_c_to_a_process_and_its_workers_gets_the_same_line(tmp_path: Path) 
     assert process.stdout
     process.stdout.readline()  # it has begun
     os.killpg(process.pid, signal.SIGINT)
-    _, error = process.communicate(timeout=60)
+    _, error = process.communicate(timeout=HANG_S)
     assert process.returncode == 130
     assert error.strip().splitlines()[-1] == "skope: stopped; run the same command again to resume or restart"
     assert "Traceback" not in error

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import skope
+from tests.waiting import HANG_S
 
 ROOT = Path(__file__).parent.parent
 
@@ -119,7 +120,7 @@ def test_the_page_of_an_installed_skope_answers(installed: Path, tmp_path: Path)
             page = answer.read().decode()
         assert "<title>skope site</title>" in page
         process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=30) in (0, 130)
+        assert process.wait(timeout=HANG_S) in (0, 130)
     finally:
         process.kill()
         process.communicate()

@@ -31,6 +31,7 @@ from tests.eval.cli.test_footage import numbered_video
 from tests.samples import make_dataset, make_image
 from tests.sightings import drive
 from tests.train.conftest import shrink
+from tests.waiting import HANG_S
 
 ROOT: Final = Path(__file__).parents[1]
 SCRIPTS: Final = ROOT / "scripts"
@@ -298,7 +299,7 @@ def script(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) 
 def apart(name: str, *arguments: str) -> tuple[int, str, str]:
     """Run a script of scripts/ in a process of its own."""
     command = [sys.executable, str(SCRIPTS / name), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=HANG_S)
     return done.returncode, done.stdout, done.stderr
 
 
@@ -529,7 +530,7 @@ def test_a_leg_learns_from_places_that_were_drawn_before(tmp_path: Path, monkeyp
     monkeypatch.setattr(leg.Places, "_skope", make)
     places = leg.Places(tmp_path, {"first": "--preset demo", "second": "--preset demo"}, workers=1)
     assert places.wait_for(["first", "second"], time.monotonic()) == ["second"]
-    assert sorted(places.wait_for(["first", "second"], time.monotonic() + 60)) == ["first", "second"]
+    assert sorted(places.wait_for(["first", "second"], time.monotonic() + HANG_S)) == ["first", "second"]
     places.stop()
 
 
@@ -542,7 +543,7 @@ def test_a_leg_learns_from_places_that_another_makes(tmp_path: Path, monkeypatch
     assert places.wait_for(["first"], time.monotonic()) == []
     (tmp_path / "first").mkdir()
     (tmp_path / "first" / leg.CARD_FILE).write_text("{}")
-    assert places.wait_for(["first"], time.monotonic() + 60) == ["first"]
+    assert places.wait_for(["first"], time.monotonic() + HANG_S) == ["first"]
     places.stop()
 
 

@@ -4,7 +4,7 @@
 ONNX take an `image` (3, H, W), float32 sRGB from 0 to 1, of any size. They return, best first and in pixels of that
 image: `boxes` (N, 4) xyxy, `scores` (N,) from 0 to 1, `keypoints` (N, 33, 2) x, y and `keypoint_scores` (N, 33) from 0
 to 1. If the detector has other categories than vehicles, `categories` (N,) follows, ids from 1 as in
-`skope.schema.CATEGORY_NAMES`. For other categories than vehicles, keypoint scores are 0 and keypoints are undefined.
+`skope.schema.CATEGORY_NAMES`. Keypoints of other categories than vehicles are (0, 0) with score 0, as in COCO.
 
 Rounding to compact weights uses second moments of the layers' inputs, gathered from images.
 """
@@ -234,8 +234,8 @@ class _ScriptedCategories(DeployedCategories):
 def _with_categories(found: dict[str, Tensor], ids: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Return `OUTPUT_NAMES` and `CATEGORIES_OUTPUT`; `ids` are the category ids of the network's labels."""
     boxes, scores, points, sure = _in_order(found)
-    vehicles = (found["labels"] == 1).to(sure.dtype)
-    return boxes, scores, points, sure * vehicles[:, None], ids[found["labels"]]
+    vehicles = (found["labels"] == 1).to(sure.dtype)[:, None]
+    return boxes, scores, points * vehicles[:, :, None], sure * vehicles, ids[found["labels"]]
 
 
 def _in_order(found: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from skope.detector.predictor import read_ahead
+from tests.waiting import until
 
 
 def counting(made: list[int], last: int = 1000) -> Iterator[int]:
@@ -23,9 +24,7 @@ def test_items_are_made_while_the_caller_works() -> None:
     made: list[int] = []
     items = read_ahead(counting(made), 4)
     assert next(items) == 0
-    deadline = time.monotonic() + 10
-    while len(made) < 6 and time.monotonic() < deadline:
-        time.sleep(0.01)
+    until(lambda: len(made) >= 6)
     time.sleep(0.1)
     assert len(made) == 6, "one was taken, four wait, and one waits for a place"
     items.close()

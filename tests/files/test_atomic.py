@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from skope.files.atomic import hold_lock
+from tests.waiting import HANG_S
 
 
 def test_a_lock_that_was_waited_for_is_that_of_the_file_that_others_see(tmp_path: Path) -> None:
@@ -20,7 +21,7 @@ def test_a_lock_that_was_waited_for_is_that_of_the_file_that_others_see(tmp_path
         assert not wait([waiting], timeout=0.2).done
         path.unlink()
         first.close()
-        with waiting.result(timeout=10) as second:
+        with waiting.result(timeout=HANG_S) as second:
             assert os.path.samestat(os.fstat(second.fileno()), path.stat())
             with pytest.raises(BlockingIOError):
                 hold_lock(path)

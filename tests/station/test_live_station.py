@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,7 @@ from skope.video.footage import FrameRange, LiveStream
 from skope.video.stream_windows import StreamWindows
 from skope.video.write import write_video
 from tests.video.test_live import Web
+from tests.waiting import HANG_S, until
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_road"
 STATION = """window_minutes = 0.1
@@ -44,16 +45,6 @@ site = "traffic.toml"
 stream = "{address}"
 detector = "road33-lite"
 """
-
-
-def until(true: Callable[[], Any], seconds: float = 60.0) -> Any:
-    """What `true` returns as soon as it is true; fails after some time."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if found := true():
-            return found
-        time.sleep(0.1)
-    raise AssertionError(true)
 
 
 def state() -> dict[str, Any]:
@@ -92,7 +83,7 @@ def test_a_killed_camera_process_loses_what_it_was_working_on_only(tmp_path: Pat
             until(lambda: state()["process"] != first["process"] and state()["frames"] > 15)
         finally:
             run.send_signal(signal.SIGTERM)
-            said, _ = run.communicate(timeout=60)
+            said, _ = run.communicate(timeout=HANG_S)
     assert run.returncode == 0, said
     assert "its process ended with code -9; starting again" in said
     times = frame_times()
@@ -114,10 +105,10 @@ def test_a_second_station_on_the_same_folder_is_refused(tmp_path: Path, monkeypa
         try:
             until(lambda: Path("station/.lock").exists())
             time.sleep(0.5)
-            second = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+            second = subprocess.run(command, capture_output=True, text=True, timeout=HANG_S, check=False)
         finally:
             run.send_signal(signal.SIGTERM)
-            run.wait(30)
+            run.wait(HANG_S)
     assert second.returncode == 2
     assert "another process runs this station" in second.stderr
 
@@ -170,7 +161,7 @@ def test_ray_makes_the_recordings_of_one_process_though_a_worker_is_lost(tmp_pat
         ) as run:
             if engine == "ray":
                 os.kill(int(until(ray_workers)[0]), signal.SIGKILL)
-            said[engine], _ = run.communicate(timeout=200)
+            said[engine], _ = run.communicate(timeout=HANG_S)
         assert run.returncode == 0, said[engine]
         made[engine] = archive_files(folder)
     assert len(made["local"]) == 6

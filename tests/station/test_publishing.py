@@ -40,6 +40,7 @@ from skope.station.station_file import HttpAddress, MqttBroker, StationCamera, r
 from skope.station.watch_stream import StreamState
 from skope.terminal.console import Console
 from tests.station.test_station import SITE, STATION, record
+from tests.waiting import HANG_S, until
 
 Skope = Callable[..., tuple[int, str, str]]
 HEALTH = CameraHealth(camera="north", state=RUNNING, last_frame="2026-11-27T10:00:00+00:00", rate=9.9, skipped=0.02)
@@ -77,7 +78,7 @@ def get(address: str, token: str = "secret") -> tuple[int, str]:
     request = urllib.request.Request(address, headers={"Authorization": f"Bearer {token}"} if token else {})
     for _ in range(100):
         try:
-            with urllib.request.urlopen(request, timeout=5) as answer:
+            with urllib.request.urlopen(request, timeout=HANG_S) as answer:
                 return answer.status, answer.read().decode()
         except urllib.error.HTTPError as error:
             return error.code, error.read().decode()
@@ -127,7 +128,7 @@ def test_the_api_only_reads(served: str) -> None:
     assert {method for path in described["paths"].values() for method in path} == {"get"}
     request = urllib.request.Request(f"{served}/api/cameras", method="POST", headers={"Authorization": "Bearer secret"})
     with pytest.raises(urllib.error.HTTPError) as error:
-        urllib.request.urlopen(request, timeout=5)
+        urllib.request.urlopen(request, timeout=HANG_S)
     assert error.value.code == 405
 
 
@@ -161,7 +162,7 @@ def test_a_picture_is_there_when_it_was_written(served: str) -> None:
     path.parent.mkdir(parents=True)
     picture.write([], camera, SKOPE33)
     request = urllib.request.Request(f"{served}/api/cameras/north/picture?token=secret")
-    with urllib.request.urlopen(request, timeout=5) as answer:
+    with urllib.request.urlopen(request, timeout=HANG_S) as answer:
         shown = cv2.imdecode(np.frombuffer(answer.read(), np.uint8), cv2.IMREAD_COLOR)
     ends = camera.project(np.array([[10.0, -6.0, 0.0], [10.0, 6.0, 0.0]]))[0]
     middle = ends.mean(axis=0).round().astype(int)
@@ -244,15 +245,15 @@ def broker() -> Iterator[MqttBroker]:
             run.terminate()
 
 
-def heard(broker: MqttBroker, count: int, wait_s: float = 10.0) -> dict[str, Any]:
+def heard(broker: MqttBroker, count: int, wait_s: float = HANG_S) -> dict[str, Any]:
     """Retained messages of a broker, by topic, as soon as there are `count`, or after a time."""
     found: dict[str, Any] = {}
     client = mqtt.Client(CallbackAPIVersion.VERSION2)
     client.on_message = lambda _client, _data, message: found.update({message.topic: message.payload.decode()})
     client.connect(broker.host, broker.port)
     client.subscribe("#", qos=1)
-    until = time.monotonic() + wait_s
-    while len(found) < count and time.monotonic() < until:
+    end = time.monotonic() + wait_s
+    while len(found) < count and time.monotonic() < end:
         client.loop(0.1)
     client.disconnect()
     return found
@@ -260,11 +261,13 @@ def heard(broker: MqttBroker, count: int, wait_s: float = 10.0) -> dict[str, Any
 
 def test_the_broker_has_health_and_counts(database: Database, broker: MqttBroker) -> None:
     publisher = MqttPublisher(broker, database, Console())
-    until = time.monotonic() + 10
-    found: dict[str, Any] = {}
-    while len(found) < 3 and time.monotonic() < until:
+
+    def published() -> dict[str, Any] | None:
         publisher.publish([HEALTH])
         found = heard(broker, 3, 0.5)
+        return found if len(found) == 3 else None
+
+    found = until(published)
     assert found["roads/a1/station"] == "online"
     assert json.loads(found["roads/a1/north/health"]) == HEALTH.to_dict()
     counts = json.loads(found["roads/a1/north/counts"])

@@ -28,6 +28,7 @@ from skope.station.station_file import read_station
 from skope.tracks.csv_file import TRACKS_CSV, write_tracks
 from skope.traffic.observation import FOOTAGE_FILE, Observation
 from tests.traffic.drives import straight
+from tests.waiting import until
 
 Skope = Callable[..., tuple[int, str, str]]
 SITE = """time_zone = "Europe/Berlin"
@@ -161,9 +162,7 @@ def test_a_killed_station_loses_and_doubles_nothing(station: Skope) -> None:
         for file in Path().glob("traffic.db*"):
             file.unlink()
         with subprocess.Popen([sys.executable, "-m", "skope", "eval", "station", "station.toml", "-q"]) as run:
-            until = time.monotonic() + 60
-            while not Path("traffic.db").is_file() and time.monotonic() < until:
-                time.sleep(0.01)
+            until(Path("traffic.db").is_file)
             time.sleep(float(rng.uniform(0, 0.4)))
             run.send_signal(signal.SIGKILL)
         if rows_of("select 1 from sqlite_master where name = 'visibility'"):

@@ -3,7 +3,6 @@
 import codecs
 import json
 import re
-import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -39,6 +38,7 @@ from skope.traffic.traffic_report import TrafficReport
 from tests.chromium import Browser
 from tests.traffic.drives import along_x, straight, watched
 from tests.traffic.test_exports import HEAD, junction_report, report_of
+from tests.waiting import until
 
 Pages = Callable[[], AbstractContextManager[Browser]]
 Skope = Callable[..., tuple[int, str, str]]
@@ -155,10 +155,8 @@ def downloaded(browser: Browser, folder: Path) -> Path:
         "Browser.setDownloadBehavior", behavior="allow", downloadPath=str(folder), browserContextId=browser.context
     )
     click(browser, "download")
-    path, end = folder / "manual_count.csv", time.monotonic() + 10
-    while not path.is_file() or not path.stat().st_size:
-        assert time.monotonic() < end
-        time.sleep(0.02)
+    path = folder / "manual_count.csv"
+    until(lambda: path.is_file() and path.stat().st_size)
     return path
 
 

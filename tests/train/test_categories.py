@@ -341,6 +341,7 @@ def test_exports_say_the_category(learnt: tuple[Path, Path], to: str, tmp_path: 
     categories, sure_points = answer[4][:sure], answer[3][:sure]
     assert set(categories.tolist()) == {1, 2, 4}
     assert not sure_points[categories != 1].any()
+    assert not answer[2][:sure][categories != 1].any()
     assert sure_points[categories == 1].mean() > 0.5
     for one, other in zip(expected, answer, strict=True):
         assert torch.allclose(one[:sure].double(), other[:sure].double(), rtol=0, atol=0.1)

@@ -20,6 +20,7 @@ from skope.train.distributed import ProcessGroup
 from skope.train.recipe import SHIPPED_RECIPES
 from skope.train.training_samples import TrainingSample
 from tests import samples
+from tests.waiting import HANG_S
 
 SMALL = ("min_size=64", "max_size=96", "regions=8", "keypoint_regions=1", "val_fraction=0.25")
 RATES = 0.05
@@ -87,7 +88,7 @@ def test_a_batch_shared_by_two_processes_teaches_the_same(tmp_path: Path) -> Non
         subprocess.Popen([sys.executable, "-c", code], env={**common, "RANK": str(rank), "LOCAL_RANK": str(rank)})
         for rank in range(2)
     ]
-    assert [member.wait(timeout=120) for member in members] == [0, 0]
+    assert [member.wait(timeout=HANG_S) for member in members] == [0, 0]
     alone, *both = (torch.load(tmp_path / name, weights_only=True) for name in ("alone.0", "both.0", "both.1"))
     for state in both:
         torch.testing.assert_close(state["weight"], alone["weight"])
@@ -118,7 +119,7 @@ def torchrun(folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
     values = [part for value in SMALL for part in ("--set", value)]
     small_skope = ("-m", "tests.train.small_skope", "train")
     command = [sys.executable, *start, *small_skope, "--recipe", "scratch", *flags, *values, *more]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=HANG_S)
 
 
 @pytest.mark.slow

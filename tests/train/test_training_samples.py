@@ -23,6 +23,7 @@ from skope.train.splits import TrainingSource
 from skope.train.targets import Vehicles
 from skope.train.training_samples import Draw, TrainingSample, TrainingSet
 from tests import samples
+from tests.waiting import HANG_S
 
 
 def write(root: Path, images: list[Image], annotations: list[Annotation]) -> Path:
@@ -174,7 +175,7 @@ def test_loading_begins_after_this_process_has_used_opencvs_threads(tmp_path: Pa
         env=environment,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=HANG_S,
         check=False,
     )
     assert done.stdout == "2\n", done.stderr

@@ -20,12 +20,13 @@ from skope.viewer.server import bound
 from tests.html_page import Page
 from tests.local_page import begun
 from tests.viewer.conftest import HOSTILE
+from tests.waiting import HANG_S
 
 Serve = Callable[[Collection], int]
 
 
 def answer(port: int, path: str, method: str = "GET", **headers: str) -> tuple[HTTPResponse, bytes]:
-    connection = HTTPConnection("127.0.0.1", port, timeout=10)
+    connection = HTTPConnection("127.0.0.1", port, timeout=HANG_S)
     try:
         connection.request(method, path, headers=headers)
         got = connection.getresponse()
@@ -36,7 +37,7 @@ def answer(port: int, path: str, method: str = "GET", **headers: str) -> tuple[H
 
 def raw(port: int, request: bytes) -> bytes:
     """Everything that the server answers to some bytes."""
-    with socket.create_connection(("127.0.0.1", port), timeout=10) as line:
+    with socket.create_connection(("127.0.0.1", port), timeout=HANG_S) as line:
         line.sendall(request)
         line.shutdown(socket.SHUT_WR)
         return b"".join(iter(lambda: line.recv(65536), b""))
@@ -262,5 +263,5 @@ def test_ctrl_c_ends_it_quietly(dataset: Path) -> None:
     port = int(line.rsplit(":", 1)[1].split("/")[0])
     assert json.loads(answer(port, "/index.json")[1])["names"]
     process.send_signal(signal.SIGINT)
-    out, error = process.communicate(timeout=30)
+    out, error = process.communicate(timeout=HANG_S)
     assert (process.returncode, out, error) == (0, "", "")

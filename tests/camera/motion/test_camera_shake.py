@@ -28,6 +28,7 @@ from skope.camera.motion.view_changes import ViewChange, ViewSamples
 from skope.errors import UserError
 from skope.schema import Image
 from tests.camera.motion.test_image_shift import SIZE, picture, with_traffic
+from tests.waiting import HANG_S
 
 FPS = 10.0
 
@@ -69,7 +70,7 @@ def test_frames_pass_while_they_are_measured(monkeypatch: pytest.MonkeyPatch) ->
     go, pixels = threading.Event(), np.zeros((20, 30, 3), np.uint8)
 
     def motion(self: ReferencePicture, picture: SmallPicture) -> ImageMotion | None:
-        assert go.wait(30)
+        assert go.wait(HANG_S)
         if picture.fine[0, 0]:
             raise ValueError("spoilt")
         return None

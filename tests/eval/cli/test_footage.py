@@ -43,6 +43,7 @@ from skope.video.footage import FOOTAGE_LIMITS, FrameRange, open_footage
 from tests.footage import streams
 from tests.pose.test_estimate_pose import drawn
 from tests.sightings import CAMERA, drive, scene
+from tests.waiting import HANG_S
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
@@ -213,7 +214,7 @@ def test_a_live_stream_that_nobody_wants_any_more_is_left() -> None:
         assert 1 <= len(list(frames)) < 30
     left = set(threading.enumerate()) - before
     for thread in left:
-        thread.join(timeout=5)
+        thread.join(timeout=HANG_S)
     assert not any(thread.is_alive() for thread in left)
 
 

@@ -6,7 +6,6 @@ import os
 import shutil
 import signal
 import threading
-import time
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -19,6 +18,7 @@ from skope.camera.fit.write_camera import write_camera
 from skope.camera.model import Camera
 from skope.files.json_files import write_json
 from tests.footage import streams
+from tests.waiting import until
 
 Skope = Callable[..., tuple[int, str, str]]
 SITE = """time_zone = "Europe/Berlin"
@@ -130,10 +130,8 @@ def test_a_service_that_is_stopped_writes_what_has_come(skope: Skope, random_run
     before = signal.signal(signal.SIGTERM, lambda *_: ignored.append(1))
 
     def stop() -> None:
-        end = time.monotonic() + 20
         progress = Path("seen/.predict.jsonl")
-        while time.monotonic() < end and (not progress.is_file() or progress.stat().st_size < 10):
-            time.sleep(0.02)
+        until(lambda: progress.is_file() and progress.stat().st_size >= 10)
         os.kill(os.getpid(), signal.SIGTERM)
 
     thread = threading.Thread(target=stop)

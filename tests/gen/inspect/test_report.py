@@ -28,6 +28,7 @@ from skope.pictures import draw
 from skope.schema import Annotation, AnnotationFile, Box3D, Image
 from tests.html_page import Page
 from tests.samples import make_annotation, make_dataset, make_image
+from tests.waiting import HANG_S
 
 CAMERA = Camera.looking([0, 0, 6], yaw=0, pitch_down=0.3, size=(160, 120))
 BOX = Box3D(center=np.array([12.0, 3.0, 0.8]), size_lwh=np.array([4.5, 1.8, 1.6]), yaw=0.0, R=np.eye(3))
@@ -311,7 +312,7 @@ def test_switches_and_filters_work_in_a_browser(dataset: Path, tmp_path: Path) -
         capture_output=True,
         text=True,
         check=True,
-        timeout=120,
+        timeout=HANG_S,
     )
     (title,) = re.findall(r"<title>(.*?)</title>", done.stdout)
     layers = "boxes=3&gt;0 points=9&gt;0 boxes3d=0&gt;6 masks=0&gt;3 depth=0&gt;4 ignored=0&gt;1"

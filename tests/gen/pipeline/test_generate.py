@@ -19,6 +19,7 @@ from skope.dataset.folder import open_dataset
 from skope.gen.inspect.check import check
 from skope.gen.pipeline.dataset_store import Store
 from tests.gen.small import SMALL, content, gen
+from tests.waiting import HANG_S
 
 
 def test_a_dataset_is_whole(whole: Path) -> None:
@@ -58,7 +59,7 @@ def test_killed_at_any_moment_it_goes_on_to_the_same_bytes(kills: int, whole: Pa
             gen(out, "--workers", "1"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
         )
         files = len(list(out.rglob("*"))) if out.exists() else 0
-        goal, deadline = files + int(rng.integers(1, 8)), time.monotonic() + 60
+        goal, deadline = files + int(rng.integers(1, 8)), time.monotonic() + HANG_S
         while process.poll() is None and time.monotonic() < deadline:
             if out.exists() and len(list(out.rglob("*"))) >= goal:
                 break
@@ -382,7 +383,7 @@ def test_ray_makes_the_same_bytes_though_a_worker_is_lost(whole: Path, tmp_path:
     pytest.importorskip("ray")
     out = tmp_path / "d"
     process = subprocess.Popen(gen(out, "--engine", "ray", "--workers", "2"), stderr=subprocess.PIPE, text=True)
-    killed, deadline = False, time.monotonic() + 240
+    killed, deadline = False, time.monotonic() + HANG_S
     while process.poll() is None and time.monotonic() < deadline:
         if not killed and list((out / ".work").glob("frames/*/*.jsonl")):
             workers = subprocess.run(["pgrep", "-f", "ray::Worker.render"], capture_output=True, text=True, check=False)

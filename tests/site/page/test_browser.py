@@ -18,6 +18,7 @@ from skope.site.page.inputs import SiteFrames
 from skope.site.page.overlays import overlays
 from skope.site.site_file import SiteFile, read_site
 from tests.site.page.conftest import CAMERA, PLACES, SIZE, Served, SitePage, marked_points, pixels_of, road_picture
+from tests.waiting import HANG_S
 
 HOSTILE = "<img src=x onerror=alert(1)>\"'&"
 
@@ -542,7 +543,7 @@ def test_the_page_shows_that_the_camera_is_being_solved(
     held = threading.Event()
 
     def slowly(evidence: Evidence) -> SiteCalibration:
-        assert held.wait(20)
+        assert held.wait(HANG_S)
         return calibrate(evidence)
 
     monkeypatch.setattr("skope.site.page.solved_page.calibrate", slowly)

@@ -10,6 +10,7 @@ import pytest
 
 from skope.site.write_site import save_site
 from tests.local_page import begun
+from tests.waiting import HANG_S
 
 
 @pytest.mark.parametrize(
@@ -52,7 +53,7 @@ def test_a_camera_of_another_image_size_is_scaled_or_rejected(skope: Any, image:
     process, line = begun("eval", "site", str(image), "--site", str(site))
     assert line == f"{site}: camera: camera of 1280x720, scaled to the 640x360 of road.png\n"
     process.send_signal(signal.SIGINT)
-    process.communicate(timeout=30)
+    process.communicate(timeout=HANG_S)
 
 
 def test_ctrl_c_ends_it_and_nothing_is_written(image: Path) -> None:
@@ -60,9 +61,9 @@ def test_ctrl_c_ends_it_and_nothing_is_written(image: Path) -> None:
     process, line = begun("eval", "site", str(image), "--site", str(site))
     address = line.split(" ")[2]
     assert address.startswith("http://127.0.0.1:")
-    with urllib.request.urlopen(address + "begin.json", timeout=20) as answer:
+    with urllib.request.urlopen(address + "begin.json", timeout=HANG_S) as answer:
         assert json.load(answer)["size"] == [640, 360]
     process.send_signal(signal.SIGINT)
-    out, error = process.communicate(timeout=30)
+    out, error = process.communicate(timeout=HANG_S)
     assert (process.returncode, out, error) == (0, "", "")
     assert not site.exists()

@@ -19,6 +19,7 @@ from skope.site.page.plan import map_places
 from skope.site.page.solved_page import SolvedPage
 from skope.site.site_file import SiteFile, read_site
 from tests.site.page.conftest import CAMERA, PLACES, SIZE, Served, empty_document, marked_points, pixels_of
+from tests.waiting import HANG_S
 
 Serve = Callable[..., Served]
 
@@ -26,7 +27,7 @@ Serve = Callable[..., Served]
 def ask(served: Served, path: str, value: Any = None, **headers: str | None) -> tuple[int, dict[str, str], bytes]:
     """Status, headers and content of an answer; `value` is sent as the page sends it, headers of None are left out."""
     port = served.server.server_port
-    connection = HTTPConnection("127.0.0.1", port, timeout=20)
+    connection = HTTPConnection("127.0.0.1", port, timeout=HANG_S)
     own = {} if value is None else {"Content-Type": "application/json", "Origin": f"http://127.0.0.1:{port}"}
     given = {name.replace("_", "-"): text for name, text in headers.items()}
     sent = {name: text for name, text in {**own, **given}.items() if text is not None}
