@@ -88,10 +88,10 @@ print([gate.name for gate in site.gates])
     "save_camera": """
 import skope
 
-camera = skope.Camera.looking([0, 0, 7], yaw=0.0, pitch_down=0.3, size=(1280, 720))
+camera = skope.Camera.looking([2, 5, 7], yaw=0.5, pitch_down=0.3, size=(1280, 720))
 skope.save_camera("made.json", camera)
-print(skope.read_camera("made.json").position)
-#> [0. 0. 7.]
+print(skope.read_camera("made.json").position.round(3))
+#> [2. 5. 7.]
 """,
     "score": """
 import skope

@@ -2,7 +2,7 @@
 
     python scripts/compile_towns.py [town01 ...] [--out FOLDER]
 
-Runs SUMO's netconvert (pip install skope[maps]) on the sources in skope/gen/towns/*/source and writes town.net.xml
+Runs SUMO's netconvert (pip install 'skope[maps]') on the sources in skope/gen/towns/*/source and writes town.net.xml
 beside them. The date and paths of netconvert's header are replaced by a digest of the sources, with which a test checks
 that network and sources match.
 """

@@ -178,7 +178,7 @@ def _extra(name: str) -> PartFinding:
     missing = [module for module in modules if not _is_found(module)]
     if not missing:
         return PartFinding(f"extra {name}", "ok", "installed")
-    return PartFinding(f"extra {name}", "absent", f'{purpose}: pip install "skope[{name}]"')
+    return PartFinding(f"extra {name}", "absent", f"{purpose}: pip install 'skope[{name}]'")
 
 
 def _is_found(module: str) -> bool:
@@ -261,7 +261,7 @@ def _openvino() -> str:
         runtime = OpenVino()
     except UnusableError as error:
         if error.missing:
-            raise AbsentError('detection on a CPU takes four times as long: pip install "skope[openvino]"') from None
+            raise AbsentError("detection on a CPU takes four times as long: pip install 'skope[openvino]'") from None
         raise
     shipped, others = (_number_format(runtime.formats, "cpu", ranged=ranged) for ranged in (True, False))
     return f"{runtime.version}; on this CPU the shipped detectors run in {shipped}, other checkpoints in {others}"

@@ -23,7 +23,7 @@ def ray_cluster(address: str | None) -> Iterator[Any]:
     try:
         import ray
     except ImportError:
-        raise UserError("--engine ray: Ray is not installed; install it with pip install skope[ray]") from None
+        raise UserError("--engine ray: Ray is not installed; install it with pip install 'skope[ray]'") from None
     started_here = not ray.is_initialized()
     if started_here:
         quiet: dict[str, Any] = {"logging_level": "error", "log_to_driver": False, "include_dashboard": False}

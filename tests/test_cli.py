@@ -144,7 +144,7 @@ def test_help_says_all_that_was_written() -> None:
 
 def test_brackets_are_shown(skope: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
-    assert "(pip install skope[ray])" in skope("gen", "--help")[1]
+    assert "(pip install 'skope[ray]')" in skope("gen", "--help")[1]
     told = skope("train", "--help")[1]
     assert "[default: (data/skope)]" in told
     assert "[default: (the recipe's)]" in told

@@ -147,7 +147,7 @@ def test_a_missing_extra_has_the_line_that_installs_it(
     code, lines = alone()
     assert code == 0
     assert line_of(f"extra {extra}", lines).startswith("--  ")
-    assert line_of(f"extra {extra}", lines).endswith(f': pip install "skope[{extra}]"')
+    assert line_of(f"extra {extra}", lines).endswith(f": pip install 'skope[{extra}]'")
     assert sum(line.startswith("--") for line in lines) == 1
 
 
@@ -218,7 +218,7 @@ def test_a_file_of_the_folder_is_no_library(alone: Any) -> None:
 
 def test_openvino_is_optional_but_not_if_it_is_broken(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "openvino", None)
-    with pytest.raises(doctor.AbsentError, match=r'pip install "skope\[openvino\]"'):
+    with pytest.raises(doctor.AbsentError, match=r"pip install 'skope\[openvino\]'"):
         doctor._openvino()
     monkeypatch.setattr("skope.detector.backends.runtimes.OpenVino.oldest", (9999, 0))
     monkeypatch.delitem(sys.modules, "openvino")

@@ -62,6 +62,20 @@ def read_uncertain_camera(path: Path) -> UncertainCamera | None:
     return uncertain_of_json(path, document, camera_of_json(path, document))
 
 
+def calibrated_seconds(path: Path) -> dict[str, Any] | None:
+    """Return `source` and `seconds` of the footage to which the calibration in a camera file belongs.
+
+    None: the file does not name a part of footage. The calibration then belongs to the first view of any footage.
+
+    Raises:
+        UserError: The file cannot be read.
+    """
+    calibrated = read_json(path).get("calibrated") if is_camera_json(path) else None
+    if not isinstance(calibrated, dict) or not {"source", "seconds"} <= calibrated.keys():
+        return None
+    return {key: calibrated[key] for key in ("source", "seconds")}
+
+
 def uncertain_of_json(path: Path, document: dict[str, Any], camera: Camera) -> UncertainCamera | None:
     """Read the uncertainty of a camera from `covariance`.
 

@@ -11,12 +11,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.camera.calibration_files import is_camera_json, read_uncertain_camera
+from skope.camera.calibration_files import calibrated_seconds, read_uncertain_camera
 from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
-from skope.files.json_files import read_json
 from skope.pose.estimate_pose import Poses
 from skope.types import Array
 
@@ -34,16 +33,6 @@ def camera_info(path: Path) -> dict[str, Any]:
         **({COVARIANCE_KEY: known.covariance_dict()} if known else {}),
         **({CALIBRATED_FIELD: seconds} if seconds else {}),
     }
-
-
-def calibrated_seconds(path: Path) -> dict[str, Any] | None:
-    """Return `source` and `seconds` of the footage on which a camera file was calibrated; None: not restricted."""
-    calibrated = read_json(path).get("calibrated") if is_camera_json(path) else None
-    return (
-        {key: calibrated[key] for key in ("source", "seconds")}
-        if isinstance(calibrated, dict) and "seconds" in calibrated
-        else None
-    )
 
 
 def camera_of_info(name: str, info: Mapping[str, Any], camera: Camera | None) -> UncertainCamera | None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
-from skope.camera.calibration_files import read_uncertain_camera
+from skope.camera.calibration_files import calibrated_seconds, read_uncertain_camera
 from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
 from skope.camera.motion.camera_motion import TURN_ANGLES, CameraMotion, motion_of_info
@@ -24,7 +24,7 @@ from skope.errors import UserError
 from skope.metrics import read_inputs
 from skope.metrics.match import match
 from skope.metrics.thresholds import KEPT_SCORE
-from skope.pose.camera_error import CALIBRATED_FIELD, calibrated_seconds, camera_of_info
+from skope.pose.camera_error import CALIBRATED_FIELD, camera_of_info
 from skope.pose.turned_view import TurnedView, turned_view
 from skope.schema import Annotation, AnnotationFile, Image, Result, RoadUserResult
 from skope.terminal.console import counted
@@ -393,7 +393,8 @@ def _other_views(file: AnnotationFile, calibrated: object, camera: Camera | None
     )
     for k, view in found.items():
         zoom = "" if view.zoom == 1 else f" and zoomed by {view.zoom:.3f}"
-        words += f"; from {views[k].settled_s:.1f} s on the camera is turned{zoom} ({view.off_px:.2f} px off)"
+        since = "before that," if k == 0 else f"from {views[k].settled_s:.1f} s on"
+        words += f"; {since} the camera is turned{zoom} ({view.off_px:.2f} px off)"
     if lost:
         words += (
             f"; {counted(len(lost), 'other image')} {'has' if len(lost) == 1 else 'have'} no metres "

@@ -8,15 +8,17 @@ source of the calibration.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from skope.camera.calibration_files import (
     CameraCalibration,
+    calibrated_seconds,
     camera_of_json,
     is_camera_json,
     over_plane,
@@ -46,13 +48,15 @@ class OwnCamera:
     """Sentence on the residuals of the control points; empty without any."""
     known: UncertainCamera | None = None
     """The camera with its covariance; None: the uncertainty is unknown."""
+    calibrated: Mapping[str, Any] | None = None
+    """`source` and `seconds` of the footage to which the pose belongs, if a camera file names them."""
 
 
 def read_site_camera(table: TomlTable, picture: ImageSize | None) -> OwnCamera:
     """Read the camera of a table; `picture` is the photograph's size, the default of the camera's size."""
     try:
         made = _camera(table, picture)
-        made = replace(made, known=_known(table, made.camera))
+        made = replace(made, known=_known(table, made.camera), calibrated=_calibrated_part(table))
     except UserError as error:
         raise error if str(error).startswith(str(table.path)) else table.wrong("", str(error)) from None
     _calibrated(table.table("calibrated"))
@@ -67,11 +71,21 @@ def _known(table: TomlTable, camera: Camera) -> UncertainCamera | None:
         covariance = {key: covariance_table.value(key) for key in ("of", "matrix")}
         covariance_table.done()
         return UncertainCamera.from_dict(camera, covariance)
-    file = table.file("file")
-    if file is None or any(key in table for key in ("T_camera_world", "R", "points", "ground", "position", "look_at")):
-        return None
-    known = read_uncertain_camera(file)
+    file = _file_of_pose(table)
+    known = read_uncertain_camera(file) if file else None
     return UncertainCamera(camera, known.parameters, known.covariance) if known else None
+
+
+def _calibrated_part(table: TomlTable) -> dict[str, Any] | None:
+    """Return the part of the footage that the file of the pose names; None without one."""
+    file = _file_of_pose(table)
+    return calibrated_seconds(file) if file else None
+
+
+def _file_of_pose(table: TomlTable) -> Path | None:
+    """Return the camera file if it also gives the pose."""
+    own_pose = ("T_camera_world", "R", "points", "ground", "position", "look_at")
+    return None if any(key in table for key in own_pose) else table.file("file")
 
 
 def _calibrated(table: TomlTable) -> None:

@@ -175,10 +175,14 @@ def observation_of(scene: Scene, times: Sequence[float], start_time: datetime | 
     known = scene.known_in(scene.file.images[0])
     camera = scene.camera_of(scene.file.images[0])
     seconds = np.round(np.array(times), 4)  # as tracks.csv has them
-    turned = dict[int, tuple[float, Camera]]()
+    turned = list[tuple[float, Camera]]()
+    latest = camera
     for image, time_s in zip(scene.file.images, seconds.tolist(), strict=True):
-        if image.id in scene.turned:
-            turned.setdefault(id(scene.turned[image.id]), (time_s, scene.turned[image.id]))
+        # Without a turn, all images have one camera.
+        shown = scene.camera_of(image) if scene.turned else camera
+        if shown is not latest and not scene.moved_in(image):
+            turned.append((time_s, shown))
+            latest = shown
     return Observation(
         times_s=seconds[~moved],
         source=str(scene.file.info.get("source", scene.file.name)),
@@ -187,7 +191,7 @@ def observation_of(scene: Scene, times: Sequence[float], start_time: datetime | 
         uncertainty=known,
         ground=scene.ground,
         camera_moved_s=seconds[moved],
-        turned=tuple(turned.values()),
+        turned=tuple(turned),
         visibility_samples=checked_visibility(
             scene.file.info.get(VISIBILITY_KEY, []), f"{scene.file.name}: info.{VISIBILITY_KEY}"
         ),

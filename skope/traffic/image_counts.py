@@ -47,7 +47,7 @@ class ImageGateLimits:
 IMAGE_GATES: Final = ImageGateLimits()
 
 NO_METRES: Final = (
-    "no metres: the camera is not calibrated. Counts are of the feet of boxes at gates in the image; speeds, headways, "
+    "no metres: positions are in pixels. Counts are of the feet of boxes at gates in the image; speeds, headways, "
     "queues, delays and conflicts are not available (`skope eval site` calibrates a camera)"
 )
 

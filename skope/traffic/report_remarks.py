@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from skope.camera.model import Camera
+from skope.camera.model import Camera, same_aspect
 from skope.schema import VEHICLE_CATEGORY
-from skope.site.gates_zones_lanes import Gate
+from skope.site.gates_zones_lanes import Gate, gate_at_size
 from skope.tracks.track import is_in_traffic
 from skope.traffic.gates import signed_distances
 from skope.traffic.manual_count_checks import hand_lines
@@ -43,6 +43,9 @@ class RemarkLimits:
     least_visible: float = 0.9
     """Minimum share of the visible part of a gate that remains visible after a turn of the camera. Below it the report
     warns."""
+    apart_share: float = 0.02
+    """Distance in the image between `pixels` and `line` of a gate, as a share of the image width, above which the
+    report warns. The site page writes both with one camera, so that they are equal."""
     gate_points: int = 100
     """Number of points on a gate that are projected."""
 
@@ -149,6 +152,10 @@ def remarks(report: "TrafficReport") -> Iterator[str]:
         )
     yield from _of_conflicts(report)
     yield from remarks_on_counts(report)
+    counted = {gate.name for gate in report.gates}
+    for gate in report.site.gates:
+        if gate.name in counted:
+            yield from _of_pixels_elsewhere(gate, observation)
     for gate in report.gates:
         yield from _of_gate(gate, report)
         yield from _of_turned_cameras(gate, observation)
@@ -233,6 +240,27 @@ def _of_turned_cameras(gate: Gate, observation: Observation) -> Iterator[str]:
                         f"gate {gate.name!r}: the camera was turned, and from {from_s:.1f} s on {share:.0%} of the "
                         "part of the gate that it showed before is visible: counts after that time are too low"
                     )
+
+
+def _of_pixels_elsewhere(gate: Gate, observation: Observation) -> Iterator[str]:
+    """Yield a warning for each camera in which `pixels` and `line` of a gate are apart: one of them is outdated."""
+    for part in observation.parts or (observation,):
+        camera = part.camera
+        if camera is None or not gate.pixels or not gate.line:
+            continue
+        size = (camera.width, camera.height)
+        if not same_aspect(gate.size or size, size):
+            continue
+        height = part.ground.height if part.ground else 0.0
+        ends, _, valid = camera.project(np.column_stack([gate.line, [height, height]]))
+        apart = np.linalg.norm(ends - gate_at_size(gate, size).pixels, axis=1)[valid]
+        if apart.max(initial=0.0) > REMARK_LIMITS.apart_share * camera.width:
+            yield (
+                f"gate {gate.name!r}: its pixels are {apart.max():.0f} px from its line: the pixels belong to another "
+                "view, or the line to an earlier calibration. It is counted at its pixels; remove its pixels or its "
+                "line from the site file, or draw it again"
+            )
+            return
 
 
 def _shows(camera: Camera, places: Array) -> Mask:

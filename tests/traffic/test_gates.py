@@ -240,6 +240,26 @@ def test_the_cameras_error_decides_no_crossing_of_a_gate_that_was_drawn(share: f
     assert counted(tracks, stale, seen_by(CAMERA, share)).count == 10
 
 
+def test_a_gate_whose_pixels_and_line_are_apart_is_reported() -> None:
+    """The camera was turned by 5 degrees after the gate had been drawn."""
+    turned = Camera.looking(
+        (0.0, 0.0, 8.0), yaw=math.radians(5), pitch_down=0.25, size=(1280, 720), fov=math.radians(60)
+    )
+    gate = Gate(name="g", pixels=drawn_across(CAMERA, 40.0), size=(1280, 720), line=((40.0, -6.0), (40.0, 6.0)))
+    half = replace(gate, size=(640, 360), pixels=tuple((u / 2, v / 2) for u, v in gate.pixels))
+    drawn_only, surveyed = replace(gate, line=()), replace(gate, pixels=())
+    far = 1280 / 2 / math.tan(math.radians(30)) * math.tan(math.radians(5))
+    for camera, one, apart in (
+        (CAMERA, gate, None), (CAMERA, half, None), (turned, drawn_only, None), (turned, surveyed, None),
+        (turned, gate, far), (turned, half, far),
+    ):  # fmt: skip
+        report = measure([straight(1, (20, 0), (10, 0), 6.0)], seen_by(camera, None), replace(SITE, gates=(one,)))
+        found = [line for line in report.notes if "px from its line" in line]
+        assert len(found) == (apart is not None)
+        if apart is not None:
+            assert float(found[0].split(" px from")[0].rsplit(" ", 1)[1]) == pytest.approx(apart, rel=0.1)
+
+
 def test_metre_gates_and_image_gates_count_alike_under_any_camera() -> None:
     """The same pixels of tracks and gate, taken for metres by cameras that are wrong by up to a quarter."""
     rng = np.random.default_rng(5)

@@ -17,9 +17,11 @@ from typer.testing import CliRunner
 
 import skope as door
 from skope import cli
+from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.errors import UserError
 from skope.files.json_files import write_json
+from skope.pose.camera_error import CALIBRATED_FIELD
 from skope.schema import AnnotationFile, Result, RoadUserResult
 from skope.site.site_file import parse_site, read_site
 from skope.site.traffic_settings import TrafficSettings
@@ -217,12 +219,17 @@ def test_without_a_camera_gates_in_the_image_count_and_nothing_else(skope: Skope
     )
     code, out, err = skope("eval", "traffic", "seen", "--out", "r")
     assert code == 0, err
-    assert "no metres: the camera is not calibrated" in out
+    assert "no metres: positions are in pixels" in out
     assert "classes of vehicles: not available at gates in the image" in out
     counts = {row["class"]: row for row in rows_of("r/counts.csv") if row["direction"] == "right"}
     assert list(counts) == ["all", "vehicle", "unknown", "motorcycle", "bicycle", "pedestrian"]
     shown = [(counts[name]["count"], bool(counts[name]["count_high_90"])) for name in ("vehicle", "unknown", "bicycle")]
     assert shown == [("2", True), ("2", False), ("0", True)]
+    assert "the site file has a camera" not in out
+    camera = f"[camera]\nsize = [{images[0].width}, {images[0].height}]\nfov_deg = 60\nposition = [0, 0, 6]\n"
+    Path("known.toml").write_text(f"{camera}look_at = [0, 20, 0]\n{Path('site.toml').read_text()}")
+    code, out, err = skope("eval", "traffic", "seen", "--site", "known.toml", "--out", "known")
+    assert (code, "note: the site file has a camera, but seen has detections in pixels" in out) == (0, True), err
     assert sorted(path.name for path in Path("r").iterdir()) == [
         "counts.csv", "events.csv", "report.html", "summary.json", "turning_movements.csv", "visibility.csv",
         "work.json",
@@ -401,7 +408,7 @@ def test_footage_is_counted_by_gates_in_the_image_where_there_is_no_camera(
     site.write_text(IMAGE_GATE.format(width=192, height=128))
     code, out, err = skope(*call)
     assert (code, "warning" in err) == (0, False), err
-    assert "no metres: the camera is not calibrated" in out
+    assert "no metres: positions are in pixels" in out
     written = {path.name for path in Path("r").iterdir()}
     assert {"seen", "counts.csv", "events.csv", "report.html", "summary.json"} <= written
     assert "tracks" not in written
@@ -439,6 +446,28 @@ def test_a_camera_of_another_image_size_is_scaled_to_the_footage(skope: Skope, r
     assert "site.toml: camera: camera of 192x128, scaled to the 96x64 of v" in out
     written = json.loads(Path("r/camera.json").read_text())
     assert (written["width"], written["height"]) == (96, 64)
+
+
+def test_a_camera_file_in_a_site_file_keeps_the_part_of_the_footage_that_it_belongs_to(
+    skope: Skope, random_run: Path
+) -> None:
+    """A file without `source` and `seconds`, or whose pose is not used, names no part."""
+    numbered_video(Path("v.mp4"), 8)
+    gate = '[[gates]]\nname = "g"\nline = [[0, 20], [9, 20]]\n'
+    camera = Camera.looking((0, 0, 6), yaw=1.57, pitch_down=0.35, size=(96, 64), fov=1.05)
+    part = {"source": "v", "seconds": [0.5, 0.7]}
+    pose = "position = [0, 0, 6]\nlook_at = [0, 20, 0]\n"
+    for name, calibrated, keys, kept in (
+        ("whole", {"from": "vehicles"}, "", None), ("part", {"from": "vehicles", **part}, "", part),
+        ("pose", part, pose, None), ("half", {"seconds": [0.5, 0.7]}, "", None),
+    ):  # fmt: skip
+        write_json(Path("camera.json"), {"width": 96, "height": 64, **camera.to_dict(), "calibrated": calibrated})
+        Path("site.toml").write_text(f'{gate}[camera]\nfile = "camera.json"\n{keys}')
+        code, _, err = skope(
+            *("eval", "traffic", "v.mp4", "--checkpoint", random_run, "--device", "cpu", "--out", name)
+        )
+        assert code == 0, err
+        assert coco.read(Path(name) / "seen" / "frames.json").info.get(CALIBRATED_FIELD) == kept
 
 
 def test_people_on_foot_count_by_where_they_stand(tracks: AnnotationFile) -> None:

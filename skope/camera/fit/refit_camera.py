@@ -86,7 +86,7 @@ def refit(
     Raises:
         UserError: A file cannot be read, or the images do not reliably show how the camera was turned.
     """
-    old_pixels, new_pixels = _frame(before, at_rest=False), _frame(after, at_rest=True)
+    (old_pixels, _), (new_pixels, part) = _frame(before, at_rest=False), _frame(after, at_rest=True)
     shape = (old_pixels.shape[1], old_pixels.shape[0])
     if new_pixels.shape != old_pixels.shape:
         raise UserError(
@@ -112,7 +112,7 @@ def refit(
     origin = f"{source.name}, turned as {Path(_split(after)[0]).name} shows"
     extra_fields = {
         "covariance": found.covariance_dict(),
-        "calibrated": {"when": _saved(after), "from": origin},
+        "calibrated": {"when": _saved(after), "from": origin, **part},
         "refit": {
             "shift_px": [registered.motion.x, registered.motion.y],
             "turn_deg": math.degrees(registered.motion.turn),
@@ -298,8 +298,12 @@ def _split(source: str) -> tuple[str, float | None]:
     return name, value
 
 
-def _frame(source: str, *, at_rest: bool) -> Pixels:
-    """Read an image, or a frame of a video: the first, or for a shaking camera the one nearest to its rest position."""
+def _frame(source: str, *, at_rest: bool) -> tuple[Pixels, dict[str, Any]]:
+    """Read an image, or a frame of a video: the first, or for a shaking camera the one nearest to its rest position.
+
+    Returns:
+        The image; of a video, also its `source` and `seconds`, as in the `calibrated` field of a camera file.
+    """
     name, seconds = _split(source)
     begin = seconds or 0.0
     footage = open_footage(name, FrameRange(start_s=begin, end_s=begin + REFIT_LIMITS.rest_s))
@@ -307,20 +311,22 @@ def _frame(source: str, *, at_rest: bool) -> Pixels:
         raise UserError(f"{name}: a live stream cannot be read again; record it to a file first")
     if footage.clip is None and (seconds is not None or len(footage.images) > 1):
         raise UserError(f"{source}: expected one image, or a video")
-    watch, frames = CameraShakeEstimator(), dict[int, Pixels]()
+    watch, frames, times = CameraShakeEstimator(), dict[int, Pixels](), list[float]()
     for image, pixels in watch.watch(footage.frames()):
         frames[image.id] = pixels
+        times.append(image.time_s or 0.0)
         if not at_rest or footage.clip is None:
             break
     if not frames:
         raise UserError(f"{source}: {'; '.join(footage.skipped) or 'has no such frame'}")
+    part = {"source": footage.name, "seconds": [times[0], times[-1]]} if footage.clip else {}
     motions = {number: watch.taken(number) for number in frames}
     measured = {number: motion for number, motion in motions.items() if motion is not None}
     if not measured or len(frames) == 1:
-        return next(iter(frames.values()))
+        return next(iter(frames.values())), part
     places = np.array([(motion.x, motion.y) for motion in measured.values()])
     away = np.linalg.norm(places - np.median(places, axis=0), axis=1)
-    return frames[list(measured)[int(away.argmin())]]
+    return frames[list(measured)[int(away.argmin())]], part
 
 
 def _saved(source: str) -> Any:

@@ -39,7 +39,7 @@ def station(
         str,
         machine(
             choices=("local", "ray"),
-            help="Where --once detects videos. ray: a Ray cluster with a shared disk (pip install skope[ray]).",
+            help="Where --once detects videos. ray: a Ray cluster with a shared disk (pip install 'skope[ray]').",
         ),
     ] = "local",
     address: Annotated[

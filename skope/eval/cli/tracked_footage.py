@@ -160,16 +160,18 @@ def tracked_footage(
 
     assert site.camera is not None
     known = site.camera.known
-    covariance = {"covariance": known.covariance_dict()} if known else {}
+    extra_fields: dict[str, Any] = {"covariance": known.covariance_dict()} if known else {}
+    if site.camera.calibrated:
+        extra_fields["calibrated"] = dict(site.camera.calibrated)
     # The site file may name a camera file; its content is part of what identifies the run.
-    camera = {**site.camera.camera.to_dict(), **covariance}
+    camera = {**site.camera.camera.to_dict(), **extra_fields}
     named = {"source": content_of(footage), "checkpoint": str(checkpoint), "camera": camera}
     claim_output(out, command, [site.path], {**options, **named})
     tracks = out / TRACKS_NAME
     if (tracks / FOOTAGE_FILE).is_file() and not list(tracks.glob(".*")):
         console.say(f"{tracks}: has the tracks of {footage.name}")
         return tracks
-    for line in write_camera(out / _CAMERA_NAME, site.camera.camera, covariance):
+    for line in write_camera(out / _CAMERA_NAME, site.camera.camera, extra_fields):
         console.say(line)
     job = PredictJob(
         footage=footage,

@@ -337,6 +337,13 @@ def _counted_in_image(
         claim_output(out, COMMAND_NAME, inputs, options)
     further = _claimed(out, inputs, options, site, formats)
     report = _with_skipped(count_in_image(tracks, observation, site, begin, counted), skipped_lines(folder))
+    if site.camera is not None:
+        # Without this note a reader could take the counts for those of the site's camera.
+        notes = [
+            f"the site file has a camera, but {folder} has detections in pixels: run `skope eval track {folder}` with "
+            f"--camera and --out TRACKS, then `{COMMAND_NAME} TRACKS --site {site.path}`",
+            *notes,
+        ]
     report = replace(report, notes=(*report.notes, *notes))
     try:
         road = empty_road(folder, coco.read(folder / FRAMES_FILE))

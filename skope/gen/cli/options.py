@@ -246,7 +246,7 @@ class WorkerOptions:
         str,
         machine(
             choices=("local", "ray"),
-            help="Workers. local: processes of this machine. ray: a Ray cluster (pip install skope[ray]).",
+            help="Workers. local: processes of this machine. ray: a Ray cluster (pip install 'skope[ray]').",
         ),
     ] = "local"
     address: Annotated[

@@ -50,7 +50,7 @@ def netconvert(options: Mapping[str, str], header: str = "") -> str:
     """
     command = program()
     if command is None:
-        raise UserError('netconvert is not installed: pip install "skope[maps]"')
+        raise UserError("netconvert is not installed: pip install 'skope[maps]'")
     with tempfile.TemporaryDirectory() as scratch:
         made = Path(scratch) / "made.net.xml"
         flags = [f"--{name}={value}" for name, value in {**options, "output-file": str(made)}.items()]

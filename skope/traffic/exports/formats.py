@@ -51,7 +51,7 @@ def checked_formats(text: str, site: "SiteParts", *, metres: bool) -> tuple[str,
         if name not in EXPORT_FORMATS:
             raise UserError(f"--export: expected some of {', '.join(EXPORT_FORMATS)}, got {name!r:.40}")
         if not metres and name not in IN_PIXELS:
-            raise UserError(f"--export: {name} needs metres, and the camera is not calibrated")
+            raise UserError(f"--export: {name} needs metres, and positions are in pixels")
     if "geojson" in names:
         on_earth(site.world, np.zeros((1, 2)))
     if "sumo" in names:

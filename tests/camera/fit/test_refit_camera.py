@@ -174,5 +174,7 @@ def test_of_a_video_the_frame_at_rest_is_taken(skope: Any, tmp_path: Path) -> No
     call = ("eval", "camera", "--refit", f"{tmp_path / 'new.avi'}@0", "--picture", old, "--points", points)
     code, _, error = skope(*call, "--out", "new.json")
     assert code == 0, error
-    moved = json.loads(Path("new.json").read_text())["refit"]["shift_px"]
-    assert moved == pytest.approx([20, 4], abs=2.0)
+    written = json.loads(Path("new.json").read_text())
+    assert written["refit"]["shift_px"] == pytest.approx([20, 4], abs=2.0)
+    assert written["calibrated"]["source"] == "new"
+    assert written["calibrated"]["seconds"] == pytest.approx([0.0, 1.2])

@@ -874,6 +874,18 @@ def test_a_turned_camera_goes_on_to_give_metres(skope: Any) -> None:
     off = np.linalg.norm(places["turned"] - places["still"], axis=1)
     assert np.median(off) < 0.1
     assert off.max() < 0.4
+    # The same footage with a calibration of its second view.
+    part = {"source": file.info.get("source"), "seconds": [3.0, 3.5]}
+    document = {**camera, **after.to_dict(), "calibrated": part}
+    Path("after.json").write_text(json.dumps(document))
+    call = ("--annotations", "turned.json", "--noise", 0.5, "--camera", "after.json", "--out", "second")
+    code, out, error = skope("eval", "track", *call)
+    assert (code, "from 1.8 s on; before that, the camera is turned (0.0" in out) == (0, True), out + error
+    second = read_observation(Path("second"))
+    assert second.camera is not None
+    assert second.camera.T_camera_world == pytest.approx(CAMERA.T_camera_world, abs=1e-4)
+    ((from_s, camera_after),) = second.turned
+    assert (from_s, camera_after.T_camera_world) == (pytest.approx(2.2), pytest.approx(after.T_camera_world))
     ((from_s, camera_after),) = watched["turned"].turned
     assert from_s == pytest.approx(2.2)
     assert camera_after.T_camera_world == pytest.approx(after.T_camera_world, abs=1e-4)
