@@ -403,3 +403,19 @@ def test_slow_work_without_a_terminal_says_something_each_half_minute(
     lines = capsys.readouterr().err.splitlines()
     assert [line.split(" of ")[0] for line in lines] == ["slow: 3", "slow: 6", "slow: 9"]
     bar.close()
+
+
+@pytest.mark.parametrize(("given", "threads"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")])
+def test_the_command_limits_numpy_to_one_thread_before_numpy_is_imported(given: dict[str, str], threads: str) -> None:
+    name = "OPENBLAS_NUM_THREADS"
+    code = (
+        "import os, sys, importlib.abc\n"
+        "class Watch(importlib.abc.MetaPathFinder):\n"
+        "    def find_spec(self, module, *_):\n"
+        f"        if module == 'numpy': print(os.environ.get('{name}'))\n"
+        "sys.meta_path.insert(0, Watch())\n"
+        "import skope.__main__\n"
+    )
+    environment = {key: value for key, value in os.environ.items() if key != name} | given
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.split() == [threads]

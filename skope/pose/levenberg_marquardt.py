@@ -206,7 +206,8 @@ class _Problem:
         (B, 6 + M) of half the cost.
         """
         # Keypoints in the vehicle frame, in the world and in the camera frame.
-        body = self._mean + np.einsum("bkim,bm->bki", self._directions, a)
+        b, k, _, m = self._directions.shape
+        body = self._mean + (self._directions.reshape(b, 3 * k, m) @ a[..., None]).reshape(b, k, 3)
         Rc = self._T[:, :3, :3]
         world = body @ np.swapaxes(R, -1, -2) + p[:, None]
         x, y, z = np.moveaxis(world @ np.swapaxes(Rc, -1, -2) + self._T[:, None, :3, 3], -1, 0)
@@ -214,26 +215,28 @@ class _Problem:
         front = z > KEYPOINT_WEIGHTS.nearest_m
         near = np.where(front, z, KEYPOINT_WEIGHTS.nearest_m)
         fx, fy = self._focal[:, :1], self._focal[:, 1:]
-        away = np.stack([fx * (x / near - self._xy[..., 0]), fy * (y / near - self._xy[..., 1])], axis=-1)
+        u, v = x / near, y / near
+        away = np.stack([fx * (u - self._xy[..., 0]), fy * (v - self._xy[..., 1])], axis=-1)
         variance = self._measured + self._rest / near**2
         squared = np.where(front, (away**2).sum(axis=-1) / variance, OPTIMISER_LIMITS.behind_cost)
         weight = np.where(front & self._counted, observations.weight(squared) / variance, 0.0)
-        # Derivatives of the two image coordinates by a shift along the world's axes, then along the vehicle's.
-        by_x = (fx / near)[..., None] * (Rc[:, None, 0] - (x / near)[..., None] * Rc[:, None, 2])
-        by_y = (fy / near)[..., None] * (Rc[:, None, 1] - (y / near)[..., None] * Rc[:, None, 2])
-        by_world = np.stack([by_x, by_y], axis=-2)  # (B, k, 2, 3)
-        by_body = by_world @ R[:, None]
+        # Derivatives of the two image coordinates by a shift along the axes of the camera, the world and the vehicle.
+        # Products with one matrix per vehicle, in place of one per keypoint, take half the time.
+        by_camera = np.zeros((b, k, 2, 3))
+        by_camera[..., 0, 0], by_camera[..., 0, 2] = fx / near, -fx / near * u
+        by_camera[..., 1, 1], by_camera[..., 1, 2] = fy / near, -fy / near * v
+        by_world = by_camera.reshape(b, 2 * k, 3) @ Rc
+        by_body = (by_world @ R).reshape(b, k, 2, 3)
         # The whole Jacobian (B, k, 2, 6 + M): by shift, by turn about the vehicle's axes, by the shape's numbers.
-        m = self._directions.shape[-1]
-        J = np.empty((*by_world.shape[:3], 6 + m))
-        J[..., :3] = by_world
-        J[..., 3:6] = np.cross(body[:, :, None], by_body)
-        for i in range(3):
-            term = by_body[..., i, None] * self._directions[:, :, None, i]
-            J[..., 6:] = term if i == 0 else J[..., 6:] + term
+        J = np.empty((b, k, 2, 6 + m))
+        J[..., :3] = by_world.reshape(b, k, 2, 3)
+        for axis, first, second in ((3, 1, 2), (4, 2, 0), (5, 0, 1)):  # of the cross product body x by_body
+            J[..., axis] = body[..., None, first] * by_body[..., second]
+            J[..., axis] -= body[..., None, second] * by_body[..., first]
+        np.matmul(by_body, self._directions, out=J[..., 6:])
         # Normal equations of the keypoints, then of the shape parameters, which have unit variance.
-        J = J.reshape(len(p), -1, 6 + m)
-        away = away.reshape(len(p), -1, 1)
+        J = J.reshape(b, 2 * k, 6 + m)
+        away = away.reshape(b, 2 * k, 1)
         weighted = np.swapaxes(J * np.repeat(weight, 2, axis=1)[..., None], -1, -2)
         normal, gradient = weighted @ J, (weighted @ away)[..., 0]
         normal[:, range(6, 6 + m), range(6, 6 + m)] += 1
