@@ -1,5 +1,6 @@
 """Measure the traffic in a footage: all stages from tracks to the report, in order."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
@@ -126,8 +127,11 @@ def _crossings(
     """Return all crossings, and by surveyed gate the crossings under each sampled set of camera parameters."""
     every: list[GateCrossing] = []
     drawn_crossings: dict[str, list[list[GateCrossing]]] = {}
+    by_recording = defaultdict[int, list[Track]](list)
+    for track in tracks:
+        by_recording[observation.recording_at(float(track.times_s[0]))].append(track)
     for number, recording in enumerate(observation.parts or (observation,), start=1):
-        recording_tracks = [track for track in tracks if observation.recording_at(float(track.times_s[0])) == number]
+        recording_tracks = by_recording[number]
         gates = gates_on_road(site.gates, recording)
         every += gate_crossings(recording_tracks, gates, lanes, site.traffic, step_s=step_s)
         for k, moved in enumerate(gates_of_drawn_cameras(gates, recording)):

@@ -276,8 +276,8 @@ def _of_gate(gate: Gate, report: "TrafficReport") -> Iterator[str]:
         for row in (0, -1):
             signed, along = signed_distances(gate, trajectory.xy[[row]])
             length = math.dist(*gate.line)
-            cut = report.observation.is_cut(trajectory.times_s[row])
-            number += bool(abs(signed[0]) < REMARK_LIMITS.beside_m and 0 <= along[0] <= length and not cut)
+            near = abs(signed[0]) < REMARK_LIMITS.beside_m and 0 <= along[0] <= length
+            number += bool(near and not report.observation.is_cut(trajectory.times_s[row]))
     total = sum(crossing.gate == gate.name for crossing in report.crossings)
     if number >= max(REMARK_LIMITS.few_tracks, REMARK_LIMITS.many_share * total):
         yield (
