@@ -24,6 +24,8 @@ from skope.version import __version__
 
 WORK_FILE: Final = "work.json"
 FOLDER_ADVICE: Final = "choose another folder, or move its content away"
+_LONGEST_VALUE: Final = 100
+"""Maximum length of an option's value in a message, characters. A camera or a list of keypoints is longer."""
 _CONTENT_DIFFERS: Final = "exists with other content; choose another file or move it away"
 
 
@@ -135,9 +137,13 @@ def work_differences(held: Any, wanted: Mapping[str, Any]) -> str:
 
 
 def changed_options(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
-    """Describe the options that differ, by name; a missing option counts as None."""
+    """Describe the options that differ, by name; a missing option counts as None. Long values are not shown."""
     pairs = [(name, held.get(name), wanted.get(name)) for name in sorted({*held, *wanted})]
-    return [f"{name} = {was}, now {now}" for name, was, now in pairs if was != now]
+    return [
+        f"{name} = {was}, now {now}" if max(len(str(was)), len(str(now))) <= _LONGEST_VALUE else f"{name} differs"
+        for name, was, now in pairs
+        if was != now
+    ]
 
 
 def write_new(path: Path, data: bytes) -> None:

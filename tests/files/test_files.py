@@ -50,6 +50,14 @@ def test_what_a_killed_process_was_writing_goes_when_its_folder_is_claimed_again
     assert {path.name for path in out.iterdir()} == {"b.csv", ".c.part.csv", "d.1.part.csv", "work.json"}
 
 
+def test_options_with_long_values_are_named_without_their_values(tmp_path: Path) -> None:
+    points = [[k, k] for k in range(33)]
+    claim_output(tmp_path / "out", "skope eval", [], {"points": points, "size": 3})
+    (tmp_path / "out" / "a.csv").write_text("x")
+    with pytest.raises(UserError, match=r"another run \(points differs; size = 3, now 4\);"):
+        claim_output(tmp_path / "out", "skope eval", [], {"points": points[1:], "size": 4})
+
+
 @pytest.mark.parametrize("kind", [ValueError, KeyboardInterrupt])
 def test_nothing_stays_of_one_that_fails(tmp_path: Path, kind: type[BaseException]) -> None:
     def begin() -> None:
