@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera, same_aspect
 from skope.schema import VEHICLE_CATEGORY
 from skope.site.gates_zones_lanes import Gate, gate_at_size
@@ -243,7 +244,10 @@ def _of_turned_cameras(gate: Gate, observation: Observation) -> Iterator[str]:
 
 
 def _of_pixels_elsewhere(gate: Gate, observation: Observation) -> Iterator[str]:
-    """Yield a warning for each camera in which `pixels` and `line` of a gate are apart: one of them is outdated."""
+    """Yield a warning if `pixels` and `line` of a gate are apart in a camera: one of them is outdated.
+
+    The line was drawn on the level z = 0 by the site page, or surveyed on the road. The nearer of both counts.
+    """
     for part in observation.parts or (observation,):
         camera = part.camera
         if camera is None or not gate.pixels or not gate.line:
@@ -251,16 +255,22 @@ def _of_pixels_elsewhere(gate: Gate, observation: Observation) -> Iterator[str]:
         size = (camera.width, camera.height)
         if not same_aspect(gate.size or size, size):
             continue
-        height = part.ground.height if part.ground else 0.0
-        ends, _, valid = camera.project(np.column_stack([gate.line, [height, height]]))
-        apart = np.linalg.norm(ends - gate_at_size(gate, size).pixels, axis=1)[valid]
-        if apart.max(initial=0.0) > REMARK_LIMITS.apart_share * camera.width:
+        line, pixels = np.array(gate.line), np.array(gate_at_size(gate, size).pixels)
+        heights = (np.zeros(2), (part.ground or Ground()).heights(line))
+        apart_px = min(_apart_px(camera, np.column_stack([line, height]), pixels) for height in heights)
+        if apart_px > REMARK_LIMITS.apart_share * camera.width:
             yield (
-                f"gate {gate.name!r}: its pixels are {apart.max():.0f} px from its line: the pixels belong to another "
+                f"gate {gate.name!r}: its pixels are {apart_px:.0f} px from its line: the pixels belong to another "
                 "view, or the line to an earlier calibration. It is counted at its pixels; remove its pixels or its "
                 "line from the site file, or draw it again"
             )
             return
+
+
+def _apart_px(camera: Camera, places: Array, pixels: Array) -> float:
+    """Return the largest distance between positions (2, 3) and pixels (2, 2); 0 if the camera sees no position."""
+    seen, _, valid = camera.project(places)
+    return float(np.linalg.norm(seen - pixels, axis=1)[valid].max(initial=0.0))
 
 
 def _shows(camera: Camera, places: Array) -> Mask:

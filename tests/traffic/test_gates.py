@@ -256,6 +256,9 @@ def test_a_gate_whose_pixels_and_line_are_apart_is_reported() -> None:
         report = measure([straight(1, (20, 0), (10, 0), 6.0)], seen_by(camera, None), replace(SITE, gates=(one,)))
         found = [line for line in report.notes if "px from its line" in line]
         assert len(found) == (apart is not None)
+        on_a_slope = replace(seen_by(camera, None), ground=Ground(slope=(0.06, 0.0)))
+        report = measure([straight(1, (20, 0), (10, 0), 6.0)], on_a_slope, replace(SITE, gates=(one,)))
+        assert any("px from its line" in line for line in report.notes) == (apart is not None)
         if apart is not None:
             assert float(found[0].split(" px from")[0].rsplit(" ", 1)[1]) == pytest.approx(apart, rel=0.1)
 
