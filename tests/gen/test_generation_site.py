@@ -257,7 +257,7 @@ def test_maps_are_converted_around_their_origin() -> None:
 
 def test_maps_need_netconvert(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(netconvert, "program", lambda: None)
-    with pytest.raises(UserError, match=r"drawn\.toml: network: .*junction\.osm.*pip install \"skope\[maps\]\""):
+    with pytest.raises(UserError, match=r"drawn\.toml: network: .*junction\.osm.*pip install 'skope\[maps\]'"):
         read_generation_site(EXAMPLE / "drawn.toml")
 
 
