@@ -4,13 +4,13 @@ import base64
 import json
 import os
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tests.waiting import HANG_S
+from tests.waiting import HANG_S, until
 
 
 class _Pipes:
@@ -76,12 +76,9 @@ class Browser:
         assert "exceptionDetails" not in told, told["exceptionDetails"]
         return told["result"].get("value")
 
-    def until(self, script: str, seconds: float = HANG_S) -> None:
+    def until(self, script: str) -> None:
         """Wait until an expression is true."""
-        end = time.monotonic() + seconds
-        while not self.run(script):
-            assert time.monotonic() < end, f"{script}: still false"
-            time.sleep(0.01)
+        until(partial(self.run, script))
 
     def open(self, address: str) -> None:
         """Go to an address."""

@@ -10,13 +10,13 @@ HANG_S: Final = 600
 """Seconds after which a test takes what it waits for to hang. It says nothing of speed: machines can be 10 x slower."""
 
 
-def until(found: Callable[[], Found], seconds: float = HANG_S) -> Found:
+def until(found: Callable[[], Found | None]) -> Found:
     """Return what `found` returns as soon as it is true.
 
     Raises:
         AssertionError: It has not become true in time.
     """
-    end = time.monotonic() + seconds
+    end = time.monotonic() + HANG_S
     while not (answer := found()):
         assert time.monotonic() < end, found
         time.sleep(0.01)

@@ -223,8 +223,9 @@ class _Problem:
         # Derivatives of the two image coordinates by a shift along the axes of the camera, the world and the vehicle.
         # Products with one matrix per vehicle, in place of one per keypoint, take half the time.
         by_camera = np.zeros((b, k, 2, 3))
-        by_camera[..., 0, 0], by_camera[..., 0, 2] = fx / near, -fx / near * u
-        by_camera[..., 1, 1], by_camera[..., 1, 2] = fy / near, -fy / near * v
+        by_x, by_y = fx / near, fy / near
+        by_camera[..., 0, 0], by_camera[..., 0, 2] = by_x, -by_x * u
+        by_camera[..., 1, 1], by_camera[..., 1, 2] = by_y, -by_y * v
         by_world = by_camera.reshape(b, 2 * k, 3) @ Rc
         by_body = (by_world @ R).reshape(b, k, 2, 3)
         # The whole Jacobian (B, k, 2, 6 + M): by shift, by turn about the vehicle's axes, by the shape's numbers.

@@ -176,13 +176,12 @@ def observation_of(scene: Scene, times: Sequence[float], start_time: datetime | 
     camera = scene.camera_of(scene.file.images[0])
     seconds = np.round(np.array(times), 4)  # as tracks.csv has them
     turned = list[tuple[float, Camera]]()
-    latest = camera
+    latest = scene.turned.get(scene.file.images[0].id)  # None: the calibrated view
     for image, time_s in zip(scene.file.images, seconds.tolist(), strict=True):
-        # Without a turn, all images have one camera.
-        shown = scene.camera_of(image) if scene.turned else camera
-        if shown is not latest and not scene.moved_in(image):
-            turned.append((time_s, shown))
-            latest = shown
+        view = scene.turned.get(image.id)
+        if view is not latest and not scene.moved_in(image):
+            turned.append((time_s, scene.camera_of(image)))
+            latest = view
     return Observation(
         times_s=seconds[~moved],
         source=str(scene.file.info.get("source", scene.file.name)),

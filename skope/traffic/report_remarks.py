@@ -153,10 +153,6 @@ def remarks(report: "TrafficReport") -> Iterator[str]:
         )
     yield from _of_conflicts(report)
     yield from remarks_on_counts(report)
-    counted = {gate.name for gate in report.gates}
-    for gate in report.site.gates:
-        if gate.name in counted:
-            yield from _of_pixels_elsewhere(gate, observation)
     for gate in report.gates:
         yield from _of_gate(gate, report)
         yield from _of_turned_cameras(gate, observation)
@@ -174,6 +170,8 @@ def remarks_on_counts(report: "TrafficReport") -> Iterator[str]:
                 else f"it has no {'line on the road' if report.metres else 'pixels'}"
             )
             yield f"gate {gate.name!r}: not counted: {why}"
+        elif report.metres:
+            yield from _of_pixels_elsewhere(gate, report.observation)
     for name in sorted(missed.gates):
         yield (
             f"gate {name!r}: no road user was ever detected near it: either none crossed it, or none can be seen there"
@@ -248,9 +246,11 @@ def _of_pixels_elsewhere(gate: Gate, observation: Observation) -> Iterator[str]:
 
     The line was drawn on the level z = 0 by the site page, or surveyed on the road. The nearer of both counts.
     """
+    if not gate.pixels or not gate.line:
+        return
     for part in observation.parts or (observation,):
         camera = part.camera
-        if camera is None or not gate.pixels or not gate.line:
+        if camera is None:
             continue
         size = (camera.width, camera.height)
         if not same_aspect(gate.size or size, size):

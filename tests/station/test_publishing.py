@@ -76,15 +76,17 @@ def served(database: Database) -> Iterator[str]:
 
 def get(address: str, token: str = "secret") -> tuple[int, str]:
     request = urllib.request.Request(address, headers={"Authorization": f"Bearer {token}"} if token else {})
-    for _ in range(100):
+
+    def answered() -> tuple[int, str] | None:
         try:
             with urllib.request.urlopen(request, timeout=HANG_S) as answer:
                 return answer.status, answer.read().decode()
         except urllib.error.HTTPError as error:
             return error.code, error.read().decode()
         except urllib.error.URLError:  # it is still starting
-            time.sleep(0.05)
-    raise AssertionError(address)
+            return None
+
+    return until(answered)
 
 
 def test_the_api_has_the_rows_of_the_database(served: str, database: Database) -> None:
@@ -225,6 +227,12 @@ def test_a_camera_without_frames_is_silent(tmp_path: Path) -> None:
 # ----------------------------------------------------------------------------------------------------------------- MQTT
 
 
+def is_open(port: int) -> bool:
+    """Whether a program of this machine accepts connections at a port."""
+    with socket.socket() as line:
+        return line.connect_ex(("127.0.0.1", port)) == 0
+
+
 @pytest.fixture(scope="module")
 def broker() -> Iterator[MqttBroker]:
     """A Mosquitto broker that runs for these tests."""
@@ -233,13 +241,8 @@ def broker() -> Iterator[MqttBroker]:
         pytest.skip("Mosquitto was not found")
     port = free_port()
     with subprocess.Popen([program, "-p", str(port)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as run:
-        for _ in range(200):
-            try:
-                socket.create_connection(("127.0.0.1", port), 0.2).close()
-                break
-            except OSError:
-                time.sleep(0.05)
         try:
+            until(lambda: is_open(port))
             yield MqttBroker(host="127.0.0.1", port=port, topic="roads/a1")
         finally:
             run.terminate()
